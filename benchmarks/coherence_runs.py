@@ -69,10 +69,14 @@ class Run:
     versions: Sequence[Sequence[Outcome]] = ()  # of each window, before blending
 
 
-def simulate_plume(resolution: int, n_frames: int) -> list[VolumeFrame]:
-    """The first frames of the example plume, with the velocity that stands in its files."""
+def simulate_plume(resolution: int, n_frames: int, **others: float) -> list[VolumeFrame]:
+    """The first frames of the example plume, with the velocity that stands in its files.
+
+    Args:
+        others: settings of the simulation that are not the example's.
+    """
     module = load_example("plume", "solver")
-    solver = module.SmokeSolver(resolution, module.PlumeSettings())
+    solver = module.SmokeSolver(resolution, module.PlumeSettings(**others))
     frames: list[VolumeFrame] = []
     for step in range(WARM_UP_STEPS + n_frames):
         solver.step(1.0 / FRAMES_PER_SECOND)

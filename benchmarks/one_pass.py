@@ -3,10 +3,11 @@
     python -m benchmarks.one_pass [--resolution 40] [--styles strokes A.jpg] [--data FOLDER]
 
 For each style a network is trained on frames of the example plume, as ``usdsmoke train`` does, and
-paints a frame that it has not seen, and one of another shot: the real plume, its voxels merged in
-blocks, where its file is there. Beside it stand cold starts of the colour step, a start from
-the frame before, and the network with iterations of the finest octave after it. ``--own`` trains
-another network on the real plume itself, a shot of one frame. Density is as it is in the files.
+paints a frame that it has not seen, and two of other shots: a plume with a wider source, more heat
+and other gusts, and the real plume, its voxels merged in blocks, where its file is there. Beside it
+stand cold starts of the colour step, a start from the frame before, and the network with iterations
+of the finest octave after it. ``--own`` trains another network on the real plume itself, a shot of
+one frame, ``--large`` trains only there, at full resolution. Density is as it is in the files.
 Losses and scores are means over views that no run has, and over the seeds. Everything runs on one
 thread.
 """
@@ -16,7 +17,7 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -57,16 +58,19 @@ N_VIEWS, SEED = 8, 0x0A11  # unseen ones
 COLD = ((15, 15, 15), (30, 30, 30), (120, 120, 120))
 AFTER = (8, 32, 64)
 WARM = 96  # iterations behind the neighbour's colours, as by default
+ALIKE = {"seed": 11, "source_radius": 0.24, "buoyancy": 7.0, "gusts": 2.2}  # another plume
+OTHER, REAL = "other plume", "real plume"
 MEASURES = ("patch", "colour", "spectrum", "edges")
 FRAMES_PER_SECOND = 24.0
+LARGEST = 192  # pixels along a picture, as by default
 N_SHOWN = 4  # frames whose temporal errors are measured
 _INTRO = (
     "# One pass of a trained network against iterations",
     "",
     "A network is trained on seven frames of the example plume, judged by an eighth, and paints",
-    "the ninth, which it has not seen, and a frame of another shot. Colours alone, on density as",
-    "it is in the files. Losses are the configured style loss, means over eight views that no run",
-    "has and over the seeds. Seconds are CPU seconds of one thread, without what judging takes.",
+    "the ninth, which it has not seen, and a frame of each of two other shots. Colours alone, on",
+    "density as it is in the files. Losses are the configured style loss, means over eight views",
+    "that no run has and over the seeds. Seconds are CPU seconds of one thread, without judging.",
     "Patches, colours, spectrum and edges are closures: 0 the style's mean colour, 1 the style.",
 )
 
@@ -155,7 +159,7 @@ def _problem(frame: VolumeFrame, style: np.ndarray, scene: Scene, config: Config
 def _config(longest: int) -> Config:
     return resolve_config(
         {
-            "views": {"image_size": max(16, longest)},
+            "views": {"image_size": min(max(16, longest), LARGEST)},
             "optimize": {"threads": 1, "tolerance": 0.0, "device": "cpu", "steps": ["colour"]},
         }
     )
@@ -167,53 +171,77 @@ def _measure(frames: Sequence[VolumeFrame], config: Config) -> Scene:
 
 
 def _train(
-    frames: Sequence[VolumeFrame], style: np.ndarray, config: Config, n_iterations: int
+    frames: Sequence[VolumeFrame], style: np.ndarray, config: Config, given: argparse.Namespace
 ) -> tuple[Trained, float]:
     """On all frames but the last, and the CPU seconds that it takes."""
     seen = [frame for n, frame in enumerate(frames[:-1]) if n != HELD_OUT]
     shot = _measure(frames, config), config
-    return _fit([*seen, frames[HELD_OUT]], style, shot, n_iterations)
+    return _fit([*seen, frames[HELD_OUT]], style, shot, given)
 
 
 def _fit(
-    frames: Sequence[VolumeFrame], style: np.ndarray, shot: tuple[Scene, Config], n_iterations: int
+    frames: Sequence[VolumeFrame],
+    style: np.ndarray,
+    shot: tuple[Scene, Config],
+    given: argparse.Namespace,
 ) -> tuple[Trained, float]:
     """On frames of which the last one is held out, and the CPU seconds that it takes."""
-    begin = time.process_time()
-    found = train_on_frames(frames, [style], *shot, n_iterations, lambda state: None)
+    scene, config = shot[0], shot[1].with_values({"optimize.seed": given.training_seed})
+    begin, n = time.process_time(), given.iterations
+    found = train_on_frames(frames, [style], scene, config, n, lambda state: None)
     return found.trained, time.process_time() - begin
 
 
 def _curves(
     name: str,
     frames: Sequence[VolumeFrame],
-    other: VolumeFrame | None,
+    others: Mapping[str, VolumeFrame],
     gallery: Gallery,
     given: argparse.Namespace,
 ) -> Iterator[str]:
     """The lines of the table for a style: an image file, or the name of an example."""
-    style = read_style_image(Path(name)).pixels if "." in name else paint_styles([name])[name]
+    style = _read_style(name)
     name, config = Path(name).stem, _config(max(frames[0].density.values.shape))
-    trained, seconds = _train(frames, style, config, given.iterations)
+    trained, seconds = _train(frames, style, config, given)
     yield _line(name, f"training, {trained.n_iterations} iterations", Row("", 0.0, seconds))
     problem = _problem(frames[-1], style, _measure(frames, config), config)
     work = problem, trained.generator, Ways(neighbour=_carried(frames[-2:], style, problem))
     yield from _rows(f"{name}, example plume", (frames[-1], style), work, gallery, given)
-    if other is not None:
+    for what, other in others.items():
         own = _config(max(other.density.values.shape))
-        scene = _measure([other], own)
-        problem = _problem(other, style, scene, own)
+        problem = _problem(other, style, _measure([other], own), own)
         work = problem, trained.generator, Ways()
-        yield from _rows(f"{name}, real plume", (other, style), work, gallery, given)
-        if given.own:
-            fitted, seconds = _fit([other], style, (scene, own), given.iterations)
-            where = f"{name}, real plume, own network"
-            what = f"training, {fitted.n_iterations} iterations"
-            yield _line(where, what, Row("", 0.0, seconds))
-            work = problem, fitted.generator, Ways(cold=())
-            yield from _rows(where, (other, style), work, gallery, given)
+        yield from _rows(f"{name}, {what}", (other, style), work, gallery, given)
+    if given.own and REAL in others:
+        yield from _own(name, style, others[REAL], Ways(cold=()), gallery, given)
     if given.shown and name == Path(given.styles[0]).stem:
         yield from _coherence(name, style, frames, trained.generator, config)
+
+
+def _own(
+    name: str,
+    style: np.ndarray,
+    frame: VolumeFrame,
+    ways: Ways,
+    gallery: Gallery,
+    given: argparse.Namespace,
+) -> Iterator[str]:
+    """The real plume with a network that is trained on it, a shot of one frame."""
+    config = _config(max(frame.density.values.shape))
+    scene = _measure([frame], config)
+    where = f"{name}, real plume, own network"
+    if given.network:
+        generator = Generator.from_file(given.network)
+    else:
+        fitted, seconds = _fit([frame], style, (scene, config), given)
+        yield _line(where, f"training, {fitted.n_iterations} iterations", Row("", 0.0, seconds))
+        generator = fitted.generator
+    work = _problem(frame, style, scene, config), generator, ways
+    yield from _rows(where, (frame, style), work, gallery, given)
+
+
+def _read_style(name: str) -> np.ndarray:
+    return read_style_image(Path(name)).pixels if "." in name else paint_styles([name])[name]
 
 
 def _rows(
@@ -292,13 +320,14 @@ def _coherence(
 
 def _long_shot(name: str, given: argparse.Namespace) -> Iterator[str]:
     """Whether a network paints the frames of a long shot alike: a line through their losses."""
-    style, frames = paint_styles([name])[name], simulate_plume(given.resolution, given.long)
+    style, frames = _read_style(name), simulate_plume(given.resolution, given.long)
+    name = Path(name).stem
     config = _config(max(frames[0].density.values.shape))
     scene = _measure(frames, config)
     places = [round(n * (len(frames) - 1) / 6) for n in range(7)]
     seen = [frames[place] for place in places]
     ordered = [*seen[:3], *seen[4:], seen[3]]
-    found, _ = _fit(ordered, style, (scene, config), given.iterations)
+    found, _ = _fit(ordered, style, (scene, config), given)
     codes, losses = [], []
     for number in range(1, len(frames), STEP):
         if number in places:
@@ -322,21 +351,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--styles", nargs="+", default=["strokes", "waves"], help="names or images")
     parser.add_argument("--iterations", type=int, default=1200, help="of the training, at most")
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--training-seed", type=int, default=0)
     parser.add_argument("--long", type=int, default=0, help="frames of a shot, for drift alone")
     parser.add_argument("--shown", action="store_true", help="temporal errors of the first style")
     parser.add_argument("--own", action="store_true", help="train on the real plume, too")
+    parser.add_argument("--large", action="store_true", help="only the real plume, as it is")
+    parser.add_argument("--network", type=Path, help="with --large: trained there before")
     parser.add_argument("--picture", type=Path, help="draw the results, with one seed")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
     parser.add_argument("--report", type=Path, help="write the page here")
     given = parser.parse_args(arguments)
     share_among(1)
-    frames, other = simulate_plume(given.resolution, N_FRAMES), None
-    if (given.data / PLUME_FILE).is_file():
-        other = read_real_plume(given.data / PLUME_FILE, given.resolution)
-    lines, gallery = [], Gallery()
-    made = [partial(_curves, name, frames, other, gallery, given) for name in given.styles]
-    if given.long:
+    file_path, lines, gallery = given.data / PLUME_FILE, list[str](), Gallery()
+    if given.large:
+        frame = read_real_plume(file_path, sys.maxsize)
+        work = [(Path(name).stem, _read_style(name), frame) for name in given.styles]
+        made = [partial(_own, *one, Ways(), gallery, given) for one in work]
+    elif given.long:
         made = [partial(_long_shot, given.styles[0], given)]
+    else:
+        frames = simulate_plume(given.resolution, N_FRAMES)
+        others = {OTHER: simulate_plume(given.resolution, N_FRAMES, **ALIKE)[-1]}
+        if file_path.is_file():
+            others[REAL] = read_real_plume(file_path, given.resolution)
+        made = [partial(_curves, name, frames, others, gallery, given) for name in given.styles]
     for lines_of in made:
         for line in lines_of():
             print(line, file=sys.stderr, flush=True)

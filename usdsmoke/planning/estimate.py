@@ -13,15 +13,17 @@ and blocks of voxels count as one where a pixel holds them:
     seconds = START + sum over frames of
                   (FRAME + FILE_TIME N + (NEIGHBOUR + NEIGHBOUR_TIME N, if warm) +
                    work / threads^GAIN)
-    training = 1200 (ITERATION + 2 (S PIXEL_TIME P' + VOXEL_TIME C) + LEARN_TIME C) / threads^GAIN
+    training = sum over its parts of
+                   n (ITERATION + V' (S PIXEL_TIME P' + VOXEL_TIME C) + LEARN_TIME C) / threads^GAIN
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
 Frames in an overlap of windows take twice the time, and two more files of 32-bit floats. The coarse
 step, if there is one, costs the work of the octaves up to its share of the resolution; windows then
 start above it. A frame that starts from its neighbour (a warm one) has the finest octave only.
 
-Training is that of a network in the run (``optimize.start``), on crops of C voxels whose pictures
-have P' pixels; it paints a frame that starts from no neighbour in PAINT_TIME N.
+Training is that of a network in the run (``optimize.start``), in n iterations on frames or crops of
+C voxels in V' pictures of P' pixels (``training_parts``); it adds LEARN_BYTES N to the memory. The
+network paints a frame that starts from no neighbour in PAINT_TIME N.
 
 MAP_TIME, BOX_TIME and BOX_BYTES_SHAPE apply to the shape step only, which computes its displacement
 on the whole box, once per octave. Three frames are in memory at a time, one of them at work. Memory
@@ -41,7 +43,7 @@ from usdsmoke.base.machine import GIB, usable_cpus
 from usdsmoke.base.naming import COLOUR_CHANNELS
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.settings import Config
-from usdsmoke.core.generator.definition import MOST_VOXELS, N_ITERATIONS, N_VIEWS
+from usdsmoke.core.generator.definition import N_VIEWS, training_parts
 from usdsmoke.core.sequence.controls import (
     by_themselves,
     coarse_factor,
@@ -59,6 +61,7 @@ BOX_BYTES_WARM = 90  # velocity, also in voxels per second; displacements of the
 MASK_BYTES = 16  # as read, checked, clamped to [0, 1] and on the device
 VOXEL_BYTES = 700  # positions, unknowns with gradients and moments, maps between their levels
 VIEW_BYTES = 40  # four pixels and weights
+LEARN_BYTES = 1_000  # octaves of a network's frames and of the one that judges, their slopes
 PIXEL_BYTES = 12_000  # feature maps, and the values kept for the gradient
 
 START = 3.0  # loading torch, learning the filters
@@ -149,10 +152,12 @@ def training_seconds(frames: Sequence[FrameSize], config: Config, n_styles: int 
         return 0.0
     frame = max(sizes, key=lambda size: size.active_voxels)
     active, _ = _refined(frame, config)
-    kept = min(active, MOST_VOXELS)
-    pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * (kept / active) ** (2 / 3)
-    iteration = ITERATION + N_VIEWS * (pixels + VOXEL_TIME * kept) + LEARN_TIME * kept
-    return N_ITERATIONS * iteration / _speed(config)
+    whole, work = n_styles * PIXEL_TIME * _picture_pixels(frame, config), 0.0
+    for number, (kept, n_iterations) in enumerate(training_parts(active)):
+        pixels = whole * (kept / active) ** (2 / 3)
+        drawn = (1 if number else N_VIEWS) * (pixels + VOXEL_TIME * kept)
+        work += n_iterations * (ITERATION + drawn + LEARN_TIME * kept)
+    return work / _speed(config)
 
 
 def written_bytes(
@@ -230,6 +235,8 @@ def _frame_memory(frame: FrameSize, config: Config) -> float:
         per_box_voxel += BOX_BYTES_WARM
     per_voxel = VOXEL_BYTES + pool_size(config.views) * VIEW_BYTES
     pictures = PIXEL_BYTES * _picture_pixels(frame, config) * config.views.count
+    if config.optimize.trains:
+        per_voxel += LEARN_BYTES
     mask = MASK_BYTES * math.prod(frame.mask_box)
     return BASE + per_box_voxel * box + mask + active * per_voxel + pictures
 

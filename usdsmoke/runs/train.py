@@ -92,8 +92,9 @@ def train(
     frames, n_iterations = _choose(filled), iterations or N_ITERATIONS
 
     def report(state: "TrainState") -> None:
-        share = (state.iteration + 1) / n_iterations
-        tell(RunProgress("train", 0.0, state.iteration, n_iterations, share, loss=state.loss))
+        n = state.n_iterations
+        share = (state.iteration + 1) / n
+        tell(RunProgress("train", 0.0, state.iteration, n, share, loss=state.loss))
 
     reader = FrameReader(job.plan)
     try:
@@ -156,7 +157,8 @@ def _train_own(
         return none
 
     def report(state: "TrainState") -> None:
-        tell(RunProgress("train", 0.0, state.iteration, N_ITERATIONS, 0.0, loss=state.loss))
+        n = state.n_iterations
+        tell(RunProgress("train", 0.0, state.iteration, n, 0.0, loss=state.loss))
 
     work = volume, _choose(filled), {**scene, **none}
     try:

@@ -10,7 +10,7 @@ import torch
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.errors import FeatureError
-from usdsmoke.core.generator import convolution
+from usdsmoke.core.generator import convolution, definition
 from usdsmoke.core.generator.convolution import convolve
 from usdsmoke.core.generator.definition import FORMAT, N_LEVELS
 from usdsmoke.core.generator.levels import make_levels
@@ -21,10 +21,10 @@ from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.steps.targets import StepProblem
 from usdsmoke.core.style.safetensors import safetensors_bytes
-from usdsmoke.core.training import canvas
-from usdsmoke.core.training.canvas import MOST_VOXELS, Canvas, crop
+from usdsmoke.core.training import train
+from usdsmoke.core.training.canvas import Canvas, crop
 from usdsmoke.core.training.frames import find_misfit, train_on_frames
-from usdsmoke.core.training.train import Trained
+from usdsmoke.core.training.train import Trained, TrainState
 
 FRAMES = [frame_of(puff(12, seed), seed + 1.0) for seed in range(3)]
 STYLE = random_style()
@@ -131,6 +131,21 @@ def test_a_colour_depends_on_the_smoke_around_it_alone() -> None:
     assert not same[144:].any()
 
 
+def test_a_crop_is_painted_as_the_frame_is() -> None:
+    density = np.random.default_rng(4).uniform(-0.5, 1, (60, 60, 60)).clip(0).astype(np.float32)
+    density[30, 30, 30] = 100  # an outlier bounds all densities, wherever it lies
+    problem = problem_of(density)
+    generator = Generator.new(torch.tensor([0.2, 0.5, 0.7]), 3)
+    whole = generator.paint(problem.smoke, SCENE.gamma_w, 5)
+    colours = dict(zip(map(tuple, problem.smoke.ijk.tolist()), whole, strict=True))
+    for number in range(3):
+        part = crop(problem, number, 8000)
+        found = Canvas(part, 0, 1, problem).paint(generator, 5)
+        expected = torch.stack([colours[tuple(voxel)] for voxel in part.smoke.ijk.tolist()])
+        assert torch.equal(found, expected)
+        assert not torch.equal(Canvas(part, 0, 1).paint(generator, 5), expected)
+
+
 def test_seeds_give_other_patterns() -> None:
     one, other = paint(smoke_of(puff(12)), 0), paint(smoke_of(puff(12)), 1)
     assert (one - other).abs().mean() > 0.1 * one.std(dim=0).mean()  # of the pattern
@@ -185,6 +200,31 @@ def test_training_has_the_same_bits_with_any_number_of_threads() -> None:
     assert files[0] == files[1]
 
 
+def test_large_frames_are_learned_from_crops_and_then_as_a_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name, value in (("USUAL_VOXELS", 120), ("CROP_VOXELS", 250)):
+        monkeypatch.setattr(definition, name, value)
+    monkeypatch.setattr(train, "USUAL_VOXELS", 120)
+    painted = []
+
+    class Told(Canvas):
+        def paint(self, generator: Generator, seed: int) -> torch.Tensor:
+            colours = super().paint(generator, seed)
+            painted.append(len(colours))
+            return colours
+
+    monkeypatch.setattr(train, "Canvas", Told)
+    states = list[TrainState]()
+    found = train_on_frames(FRAMES[:1], [STYLE], SCENE, CONFIG, 8, states.append).trained
+    n = len(problem_of(FRAMES[0].density.values).smoke.ijk)
+    assert [size == n for size in painted] == [False] * 4 + [True] * 2  # n is 527
+    assert max(painted[:4]) <= 250
+    assert len(set(painted[:4])) > 1  # several crops
+    assert [state.iteration for state in states] == list(range(len(painted)))
+    assert {state.n_iterations for state in states} == {found.n_iterations} == {len(painted)}
+
+
 def test_a_network_of_another_style_does_not_fit(file_path: Path) -> None:
     config = CONFIG.with_values({"optimize.start": str(file_path)})
     assert find_misfit(FRAMES[1], [STYLE], SCENE, config) == ""
@@ -194,22 +234,21 @@ def test_a_network_of_another_style_does_not_fit(file_path: Path) -> None:
 
 def test_large_smoke_is_cropped_to_pieces_around_different_voxels() -> None:
     problem = problem_of(np.ones((40, 40, 40), np.float32))
-    one, other = crop(problem, 0), crop(problem, 1)
-    assert MOST_VOXELS / 8 < len(one.smoke.ijk) < MOST_VOXELS
+    one, other = crop(problem, 0, 60_000), crop(problem, 1, 60_000)
+    assert 60_000 / 8 < len(one.smoke.ijk) < 60_000
     assert one.smoke.ijk.tolist() != other.smoke.ijk.tolist()
     small = problem_of(puff(12))
-    assert crop(small, 0) is small
+    assert crop(small, 0, 60_000) is small
 
 
-def test_a_crop_of_a_speck_and_a_far_sheet_is_not_the_speck_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_crop_of_a_speck_and_a_far_sheet_is_not_the_speck_alone() -> None:
     """All of the sheet is equally far from the speck."""
-    monkeypatch.setattr(canvas, "MOST_VOXELS", 100)
     density = np.zeros((40, 12, 12), np.float32)
     density[0, 6, 6], density[39] = 1, 1
     problem = problem_of(density)
-    sizes = [len(crop(problem, number).smoke.ijk) for number in range(600)]  # some: the speck's
+    sizes = [
+        len(crop(problem, number, 100).smoke.ijk) for number in range(600)
+    ]  # some: the speck's
     assert 50 <= min(sizes) and max(sizes) <= 100
 
 

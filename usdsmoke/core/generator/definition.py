@@ -5,11 +5,28 @@ FORMAT = "3"  # rises with every change after which older parameters paint somet
 N_LEVELS = 5  # octaves; a colour depends on smoke at most 92 voxels away
 N_NOISE = 3  # channels of noise in each octave but the finest
 WIDTH = 12  # channels of features
+N_CONVOLUTIONS = 2  # of each octave
 N_NEIGHBOURS = 27  # of 3 x 3 x 3, the voxel itself in the middle
 
 N_ITERATIONS = 1200  # of a training, at most
 N_VIEWS = 2  # of an iteration
-MOST_VOXELS = 60_000  # of a crop, which keeps an iteration cheap; it cuts smoke off
+USUAL_VOXELS = 60_000  # of an iteration; with more, as many fewer iterations take as long
+CROP_VOXELS = 240_000  # of the crops of a large frame, before it is learned as a whole
+WHOLE_VOXELS = 1_200_000  # of a frame that is learned as a whole; of a larger one, crops are
+
+
+def training_parts(n_voxels: int, n_iterations: int = N_ITERATIONS) -> list[tuple[int, int]]:
+    """Voxels that an iteration paints at most, and iterations, of each part of a training.
+
+    >>> training_parts(40_000), training_parts(1_000_000)
+    ([(40000, 1200)], [(240000, 300), (1000000, 72)])
+
+    Args:
+        n_voxels: of the largest frame.
+        n_iterations: for small frames.
+    """
+    sizes = [CROP_VOXELS] * (n_voxels > CROP_VOXELS) + [min(n_voxels, WHOLE_VOXELS)]
+    return [(n, max(1, round(n_iterations * min(1, USUAL_VOXELS / n)))) for n in sizes]
 
 
 def parameter_shapes() -> dict[str, tuple[int, ...]]:

@@ -12,13 +12,13 @@ picture. [Odena2016]
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 
 import torch
 from torch import Tensor
 
 from usdsmoke.core.fields.sparse_map import SparseMap, SparseSums
-from usdsmoke.core.generator.definition import N_NEIGHBOURS
+from usdsmoke.core.generator.definition import N_CONVOLUTIONS, N_NEIGHBOURS
 from usdsmoke.core.smoke.active import ActiveSmoke, block_of, coarsen, flat_key
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, share_rows
@@ -52,30 +52,52 @@ class Level:
         return SparseMap(self.blocks, self.blocks.transposed(self.n_blocks))
 
 
-def make_levels(smoke: ActiveSmoke, n: int) -> Sequence[Level]:
+def make_levels(smoke: ActiveSmoke, n: int, part: Tensor | None = None) -> Sequence[Level]:
     """``n`` octaves of a frame, coarse to fine.
 
     Args:
         smoke: at full resolution, not empty, in the order of ``activate``.
+        part: [N] bool, voxels whose colours are wanted; the octaves then hold what these depend
+            on, and their voxels have the same colours as without. None: all.
     """
     octaves = [bounded(smoke)]
     for _ in range(n - 1):
         octaves.append(coarsen(octaves[-1]))
-    levels = list[Level]()
-    for octave in reversed(octaves):
-        around = _neighbours(octave.ijk)
-        if not levels:
-            levels.append(Level(octave, around))
-            continue
-        blocks = _blocks_around(octave, levels[-1])
-        levels.append(Level(octave, around, blocks, len(levels[-1].neighbours)))
+    parents = [block_of(fine, coarse) for fine, coarse in pairwise(octaves)]
+    if part is not None:
+        kept = _needed(octaves, part)
+        rows = [chosen.cumsum(0) - 1 for chosen in kept]
+        parents = [rows[number + 1][parent[kept[number]]] for number, parent in enumerate(parents)]
+        octaves = [octave.take(chosen) for octave, chosen in zip(octaves, kept, strict=True)]
+    levels = [Level(octaves[-1], _neighbours(octaves[-1].ijk))]
+    for octave, parent in zip(reversed(octaves[:-1]), reversed(parents), strict=True):
+        blocks = _blocks_around(octave, parent, levels[-1])
+        n_blocks = len(levels[-1].neighbours)
+        levels.append(Level(octave, _neighbours(octave.ijk), blocks, n_blocks))
     return levels
 
 
-def _blocks_around(fine: ActiveSmoke, coarse: Level) -> SparseSums:
-    """Trilinear weights of the eight blocks around each voxel; those without smoke weigh 0."""
+def _needed(octaves: Sequence[ActiveSmoke], part: Tensor) -> list[Tensor]:
+    """Which voxels of each octave, fine to coarse, a part of the finest one's depends on."""
+    low, high = (end(octaves[0].ijk[part], 0) for end in (torch.amin, torch.amax))
+    needed = []
+    for octave in octaves:
+        low, high = low - N_CONVOLUTIONS, high + N_CONVOLUTIONS
+        needed.append(((octave.ijk >= low) & (octave.ijk <= high)).all(1))
+        divisor = torch.where(octave.ijk.amax(0) > octave.ijk.amin(0), 2, 1)
+        low, high = (torch.div(end, divisor, rounding_mode="floor") for end in (low, high))
+        low, high = low - 1, high + 1  # blocks between which values are interpolated
+    return needed
+
+
+def _blocks_around(fine: ActiveSmoke, parent: Tensor, coarse: Level) -> SparseSums:
+    """Trilinear weights of the eight blocks around each voxel; those without smoke weigh 0.
+
+    Args:
+        parent: [N], row of the block that each voxel lies in.
+    """
     n, n_blocks, device = len(fine.ijk), len(coarse.neighbours), fine.ijk.device
-    parent, around = block_of(fine, coarse.smoke), coarse.neighbours.view(-1)
+    around = coarse.neighbours.view(-1)
     corners = torch.tensor(CORNERS, device=device)
     weights = torch.tensor([NEAR, FAR], device=device)[corners].prod(1)
     # where a voxel of each of the eight places in a block finds them among its block's neighbours

@@ -1,38 +1,47 @@
 """Smoke that a generator paints, the loss of its pictures, and whether the generator suits it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from usdsmoke.core.generator.definition import MOST_VOXELS, N_LEVELS
-from usdsmoke.core.generator.levels import make_levels
+from usdsmoke.core.generator.definition import N_LEVELS, WHOLE_VOXELS
+from usdsmoke.core.generator.levels import Level, make_levels
 from usdsmoke.core.generator.network import Generator
+from usdsmoke.core.smoke.active import ActiveSmoke, flat_key
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.steps.colour import colour_pool, painted_part, pictures_loss, run_colour_step
 from usdsmoke.core.steps.targets import StepProblem
 
 HELD_OUT = 0x5EED_0000  # between a run's seed and that of views and noise which judge
 N_JUDGES = 4  # views that judge
+MOST_AROUND = 2  # times a crop's voxels at full resolution, computed with them
 COLD = 15  # iterations of each octave, see ``cold_iterations``
 
 
 class Canvas:
     """The painted voxels of a frame or crop at full resolution.
 
+    A crop is painted as the frame is, and drawn alone.
+
     Args:
         seed: of the views.
         n_drawn: views whose mean is a loss.
+        whole: of the frame, where ``problem`` is a crop of it.
     """
 
-    def __init__(self, problem: StepProblem, seed: int, n_drawn: int) -> None:
+    def __init__(
+        self, problem: StepProblem, seed: int, n_drawn: int, whole: StepProblem | None = None
+    ) -> None:
         self._problem = problem
-        self._levels = make_levels(painted_part(problem), N_LEVELS)
+        self._levels, self._shown = _levels(painted_part(problem), whole)
         self._pool = replace(colour_pool(problem, 1, seed), n_drawn=n_drawn)
 
     def paint(self, generator: Generator, seed: int) -> Tensor:
         """Display-encoded colours [N 3] from the noise of a seed."""
-        return generator(self._levels, self._problem.scene.gamma_w, seed)
+        colours = generator(self._levels, self._problem.scene.gamma_w, seed)
+        return colours if self._shown is None else colours[self._shown]
 
     def loss(self, colours: Tensor, iteration: int) -> Tensor:
         """Of display-encoded colours [N 3] in the views of an iteration."""
@@ -40,30 +49,58 @@ class Canvas:
         return pictures_loss(self._pool, colours, targets.at(1), targets.background, iteration)
 
 
-def judge(problem: StepProblem) -> Canvas:
-    """Of all of a problem's smoke, in views that neither training nor the colour step has."""
+def _levels(
+    painted: ActiveSmoke, whole: StepProblem | None
+) -> tuple[Sequence[Level], Tensor | None]:
+    """The octaves that painted voxels depend on, and which of the finest one's they are [N] bool;
+    None: all.
+    """
+    if whole is not None:
+        smoke = painted_part(whole)
+        levels = make_levels(smoke, N_LEVELS, _among(painted, smoke))
+        finest = levels[-1].smoke
+        if len(finest.ijk) <= MOST_AROUND * len(painted.ijk):  # else voxels lie far apart
+            return levels, _among(painted, finest)
+    return make_levels(painted, N_LEVELS), None
+
+
+def _among(some: ActiveSmoke, smoke: ActiveSmoke) -> Tensor:
+    """Which voxels of smoke are among some of them, [N] bool."""
+    low = smoke.ijk.amin(0)
+    shape = smoke.ijk.amax(0) - low + 1
+    keys, known = (flat_key(of.ijk, low, shape) for of in (smoke, some))
+    return torch.isin(keys, known, assume_unique=True)
+
+
+def judge(problem: StepProblem, whole: StepProblem) -> Canvas:
+    """Of all of a problem's smoke, in views that neither training nor the colour step has.
+
+    Args:
+        whole: the problem itself, or that of which it is a crop.
+    """
     seed = problem.config.optimize.seed + HELD_OUT
     views = problem.config.views.replace(pool=N_JUDGES)
     judged = replace(problem, config=problem.config.replace(views=views))
-    return Canvas(judged, seed, N_JUDGES)
+    return Canvas(judged, seed, N_JUDGES, None if whole is problem else whole)
 
 
-def crop(problem: StepProblem, number: int) -> StepProblem:
-    """A cube of the smoke around a painted voxel, at most ``MOST_VOXELS``; all where it is small.
+def crop(problem: StepProblem, number: int, most: int) -> StepProblem:
+    """A cube of the smoke around a painted voxel; all of the smoke where it is small.
 
     Args:
         number: which; others are elsewhere.
+        most: voxels at most.
     """
     smoke, seed = problem.smoke, problem.config.optimize.seed
-    if len(smoke.ijk) <= MOST_VOXELS:
+    if len(smoke.ijk) <= most:
         return problem
     painted = painted_part(problem).ijk
     middle = painted[int(white_noise(painted, 1, seed + HELD_OUT + number)[:, 0].argmax())]
     away = (smoke.ijk - middle).abs().amax(dim=1)
-    kept = away < away.kthvalue(MOST_VOXELS).values
-    if 2 * int(kept.sum()) < MOST_VOXELS:  # much smoke is equally far: a sheet, or all of the rest
+    kept = away < away.kthvalue(most).values
+    if 2 * int(kept.sum()) < most:  # much smoke is equally far: a sheet, or all of the rest
         kept = torch.zeros_like(kept)
-        kept[away.argsort(stable=True)[:MOST_VOXELS]] = True
+        kept[away.argsort(stable=True)[:most]] = True
     return replace(problem, smoke=smoke.take(kept))
 
 
@@ -82,10 +119,11 @@ def cold_iterations(problem: StepProblem) -> list[int]:
 def misfit(generator: Generator, problem: StepProblem) -> str:
     """Why a generator does not suit a frame, as a part of a sentence; "" where it does.
 
-    Its loss on a crop of the frame, in views of their own, must not exceed that of cold iterations.
+    Its loss on the frame, in views of their own, must not exceed that of cold iterations. Crops
+    would not do: smoke that the frame hides is seen there, and pixels have less smoke behind them.
     """
-    part = crop(problem, 0)
-    canvas = judge(part)
+    part = crop(problem, 0, WHOLE_VOXELS)
+    canvas = judge(part, problem)
     with torch.no_grad():
         found = float(canvas.loss(canvas.paint(generator, problem.config.optimize.seed), 0))
     cold, n = cold_loss(part, canvas), sum(cold_iterations(part))

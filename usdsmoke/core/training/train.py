@@ -1,8 +1,9 @@
 """Training of a generator on a few frames, by the pictures and losses of the colour step itself.
 
-Each iteration paints one of the frames, or one of the crops of a large one, from new noise, and
-draws it from views of its pool. Kept is a running mean of the parameters, from the iteration where
-it paints a held-out frame best.
+Each iteration paints one of the frames from new noise, and draws it from views of its pool. Frames
+with much smoke are learned from crops first, in which an iteration is cheap, and then as a whole,
+as they will be seen. Kept is a running mean of the parameters, from the iteration where it paints a
+held-out frame best.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,7 +12,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from usdsmoke.core.generator.definition import N_VIEWS
+from usdsmoke.core.generator.definition import N_VIEWS, USUAL_VOXELS, training_parts
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.steps.optimize import Descent, minimize
@@ -29,8 +30,11 @@ from usdsmoke.core.training.orthogonal import Orthogonal
 
 RATE = 3e-3  # of Adam, in units of parameters; of convolutions see ``Orthogonal``
 MEAN_SHARE = 0.995  # of the mean of the parameters that an iteration keeps; less at the start
-N_CROPS = 4  # of a frame that is too large
-CHECK_EVERY = 50  # iterations between two looks at the held-out frame
+LATER = 0.5  # of the rate, where whole frames follow crops
+N_CROPS = 6  # at most, of all frames
+MOST_AT_ONCE = 2_400_000  # voxels of all that is painted in turn: it stays in memory
+CHECK_EVERY = 50  # iterations between two looks at the held-out frame; fewer of large ones
+LEAST_CHECK = 10
 PATIENCE = 0.4  # share of the iterations without a better look after which training ends
 
 
@@ -71,43 +75,84 @@ def train_generator(
     Args:
         problems: of the frames that it is trained on, with smoke.
         held_out: of another frame, or of the same if there is one alone.
-        n_iterations: at most; at least 1.
+        n_iterations: at most, for small frames; at least 1. Large ones have fewer, see
+            ``training_parts``.
         tell: called after every iteration.
 
     Raises:
         NonFiniteError: see ``minimize``.
     """
-    config = held_out.config
-    seed, part = config.optimize.seed, crop(held_out, N_CROPS)
-    canvases, judging = _canvases(problems), judge(part)
-    generator = Generator.new(encode_srgb(held_out.targets.background), seed)
-    leaves = [values.requires_grad_() for values in generator.parameters.values()]
-    mean = generator.copy()
+    seed = held_out.config.optimize.seed
+    found = Generator.new(encode_srgb(held_out.targets.background), seed)
+    largest = max(len(problem.smoke.ijk) for problem in (*problems, held_out))
+    parts, done, best = training_parts(largest, n_iterations), 0, float("inf")
+    whole = sum(n for _, n in parts)
+    for number, (most, n) in enumerate(parts):
+        canvases = _canvases(problems, most, 1 if number else N_VIEWS)
+        lesson = _Lesson(canvases, judge(crop(held_out, N_CROPS, most), held_out), seed, done)
+        rate = RATE * (LATER if number else 1.0)
+        check = min(CHECK_EVERY, max(LEAST_CHECK, round(CHECK_EVERY * USUAL_VOXELS / most)))
+        found, best, n_done = lesson.learn(
+            found, Descent(rate, n), check, lambda state: tell(replace(state, n_iterations=whole))
+        )
+        done += n_done
+        judging = lesson.judging
+        del canvases, lesson  # before the next part takes as much memory
+    seen = crop(held_out, N_CROPS, parts[-1][0])
+    n_cold = sum(cold_iterations(seen))
+    return Trained(found, best, cold_loss(seen, judging), n_cold, done)
 
-    def objective(iteration: int) -> Tensor:
-        turn, place = divmod(iteration, len(canvases))
-        canvas = canvases[place]
-        return canvas.loss(canvas.paint(generator, seed + 1 + iteration), turn)
 
-    def look() -> float:
+@dataclass(frozen=True)
+class _Lesson:
+    """What a part of a training paints in turn, and what judges it."""
+
+    canvases: Sequence[Canvas]
+    judging: Canvas
+    seed: int
+    before: int  # iterations that were done
+
+    def learn(
+        self,
+        begun: Generator,
+        descent: Descent,
+        check: int,
+        tell: Callable[[TrainState], None],
+    ) -> tuple[Generator, float, int]:
+        """The generator at its best, its loss on the held-out frame, and iterations done.
+
+        Args:
+            check: iterations between two looks at the held-out frame.
+        """
+        generator = begun.copy()
+        leaves = [values.requires_grad_() for values in generator.parameters.values()]
+        mean, n = generator.copy(), descent.n_iterations
+        first = self.seed + 1 + self.before
+
+        def objective(iteration: int) -> Tensor:
+            turn, place = divmod(iteration, len(self.canvases))
+            canvas = self.canvases[place]
+            return canvas.loss(canvas.paint(generator, first + iteration), turn)
+
+        best, best_at, kept = float("inf"), 0, mean.copy()
+        state = None
+        for state in minimize(objective, leaves, descent, adam=Orthogonal()):
+            done = state.iteration + 1
+            _add_to_mean(mean, generator, state.iteration)
+            if done % check == 0 or state.reason:  # the last has a reason
+                found = self._look(mean)
+                if found < best:
+                    best, best_at, kept = found, done, mean.copy()
+            tell(TrainState(self.before + state.iteration, n, state.smoothed, best))
+            if done - best_at > max(PATIENCE * n, check):
+                break
+        assert state is not None
+        return kept, best, state.iteration + 1
+
+    def _look(self, generator: Generator) -> float:
         with torch.no_grad():
-            return float(judging.loss(judging.paint(mean, seed + HELD_OUT), 0))
-
-    best, best_at, kept = float("inf"), 0, mean.copy()
-    state = None
-    for state in minimize(objective, leaves, Descent(RATE, n_iterations), adam=Orthogonal()):
-        done = state.iteration + 1
-        _add_to_mean(mean, generator, state.iteration)
-        if done % CHECK_EVERY == 0 or state.reason:  # the last has a reason
-            found = look()
-            if found < best:
-                best, best_at, kept = found, done, mean.copy()
-        tell(TrainState(state.iteration, n_iterations, state.smoothed, best))
-        if done - best_at > max(PATIENCE * n_iterations, CHECK_EVERY):
-            break
-    assert state is not None
-    n_cold = sum(cold_iterations(part))
-    return Trained(kept, best, cold_loss(part, judging), n_cold, state.iteration + 1)
+            painted = self.judging.paint(generator, self.seed + HELD_OUT)
+            return float(self.judging.loss(painted, 0))
 
 
 def _add_to_mean(mean: Generator, generator: Generator, iteration: int) -> None:
@@ -120,17 +165,28 @@ def _add_to_mean(mean: Generator, generator: Generator, iteration: int) -> None:
         values.lerp_(generator.parameters[name].detach(), 1 - share)
 
 
-def _canvases(problems: Sequence[StepProblem]) -> list[Canvas]:
-    """What is painted in turn; crops share the views of a frame among them."""
-    found = []
-    for problem in problems:
-        parts = [crop(problem, number) for number in range(N_CROPS)]
-        if parts[0] is problem:
-            found.append(Canvas(problem, problem.config.optimize.seed, N_VIEWS))
-            continue
-        views = problem.config.views
-        config = problem.config.replace(views=views.replace(pool=max(1, views.pool // N_CROPS)))
-        for number, part in enumerate(parts):
-            seed = problem.config.optimize.seed + number
-            found.append(Canvas(replace(part, config=config), seed, N_VIEWS))
-    return found
+def _canvases(problems: Sequence[StepProblem], most: int, n_drawn: int) -> list[Canvas]:
+    """What is painted in turn; where that is much, it shares the views of a frame.
+
+    Args:
+        most: voxels of each at most.
+        n_drawn: views whose mean is a loss.
+    """
+    size = min(most, max(len(problem.smoke.ijk) for problem in problems))
+    if size <= USUAL_VOXELS:
+        return [Canvas(problem, problem.config.optimize.seed, n_drawn) for problem in problems]
+    n_all = max(1, MOST_AT_ONCE // size)
+    chosen = problems[:: -(-len(problems) // n_all)]
+    n_crops = max(1, min(N_CROPS, n_all) // len(chosen))
+    parts = []
+    for place, problem in enumerate(chosen):
+        crops = [crop(problem, place * n_crops + number, most) for number in range(n_crops)]
+        parts += [(part, problem) for part in ([problem] if crops[0] is problem else crops)]
+    canvases = []
+    for number, (part, whole) in enumerate(parts):
+        views = part.config.views
+        shared = views.replace(pool=max(N_VIEWS, views.pool // len(parts)))
+        own = replace(part, config=part.config.replace(views=shared))
+        seed = part.config.optimize.seed + number
+        canvases.append(Canvas(own, seed, n_drawn, None if part is whole else whole))
+    return canvases
