@@ -89,6 +89,25 @@ def test_every_picture_is_shown_or_linked() -> None:
     assert unused == []
 
 
+def test_every_picture_has_a_command_that_exists() -> None:
+    """In the table of benchmarks/README.md: a module with these options, or the command."""
+    pictures = PROJECT / "docs/pictures"
+    table = (PROJECT / "benchmarks/README.md").read_text("utf-8").partition("## Pictures")[2]
+    made = set()
+    for names, command in re.findall(r"^\| (`.*?`) \| (`.*`.*) \|$", table, flags=re.M):
+        assert re.search(r"`(make demo|python -m benchmarks\.\w+)\b", command), command
+        for module, options in re.findall(r"python -m benchmarks\.(\w+)([^`]*)", command):
+            source = (PROJECT / f"benchmarks/{module}.py").read_text("utf-8")
+            for option in re.findall(r"(?<!\S)--[a-z-]+", options):
+                assert f'"{option}"' in source, f"{module} has no {option}"
+        for name in re.findall(r"`(.*?)`", names):
+            found = set(pictures.glob(name))
+            assert found, f"{name} is no picture"
+            made |= found
+    left = sorted(p.name for p in pictures.rglob("*") if p.is_file() and p not in made)
+    assert left == []
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=relative)
 def test_commands_and_their_options_exist(document: Path) -> None:
     text = document.read_text("utf-8").replace("\\\n", " ")
