@@ -76,7 +76,7 @@ def render_report(runs: Runs, study: Study, words: Sequence[str]) -> str:
         "| plume | way | grey distance | colour distance | displacement error, over "
         "1, 4, 8 frames | colour error, over 1, 4, 8 frames | CPU s a frame |",
         "|---|---|---|---|---|---|---|",
-        *_curve_rows(runs),
+        *_curve_rows(runs, study),
         "",
         f"- All runs together took {_cpu_minutes(runs):.0f} minutes of CPU.",
         f"- Not made yet: {_missing(runs, study)}.",
@@ -143,11 +143,11 @@ def _row(name: str, kept: Kept, alone: Kept) -> str:
     return f"| {name} | " + " | ".join([*cells, f"{kept.seconds:.1f}"]) + " |"
 
 
-def _curve_rows(runs: Runs) -> list[str]:
+def _curve_rows(runs: Runs, study: Study) -> list[str]:
     rows = []
     alones = [kept for case, kept in runs.items() if case.way == ALONE]
-    for case in runs:
-        if case.way == WINDOWS:
+    for case in study.curve:
+        if case not in runs:
             continue
         (alone, *_) = (kept for kept in alones if same_smoke(kept.case, case))
         rows.append(_row(f"{_smoke(case)} | {case.way}", runs[case], alone))

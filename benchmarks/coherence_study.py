@@ -128,7 +128,11 @@ def _curve(resolution: int, style: str, seed: int, ways: Sequence[str]) -> tuple
 FEW = (6, 7, 10, 11)  # frames alone: two steps of one and two of four
 MORE = (*range(5, 13), 18, 19)  # a piece to be animated, and steps of eight
 PLAN = Study(
-    shots=(_shot(64, "strokes", 0, 24, MORE), _shot(96, "strokes", 0, 13, FEW)),
+    shots=(
+        _shot(64, "strokes", 0, 24, MORE),
+        _shot(64, "strokes", 0, 16, FEW),
+        _shot(96, "strokes", 0, 13, FEW),
+    ),
     curve=(
         *_curve(40, "strokes", 0, ("one window", "crisper", "steadier", "much steadier")),
         *_curve(40, "strokes", 1, ("one window",)),
