@@ -88,7 +88,9 @@ def _share(name: str, largest: Mapping[str, float]) -> float:
 
 
 def _meaning(name: str) -> str:
-    return next((text for start, text in _MEANINGS.items() if name.startswith(start)), "")
+    text = next((text for start, text in _MEANINGS.items() if name.startswith(start)), "")
+    span = name.rpartition(", ")[2]  # "8 frames", in which more changes than from one to the next
+    return f"{text} within {span}" if span.endswith("frames") else text
 
 
 def urgency(verdict: str) -> int:
