@@ -10,7 +10,8 @@ unit of time), so anisotropic and rotated grids cost the caller one matrix produ
          the range of the whole field, and inside smoke to between half the least and twice the
          largest of the eight voxels around the place (their range itself would cost half of the
          accuracy): beside a core a hundred times denser the spline rings by more than the smoke
-         there, and would empty it
+         there, and would empty it. Where one of the eight is empty, it is at least a tenth of
+         the linear look-up
 ======== ========================================================================================
 
 Schemes that were measured and not taken are in ``benchmarks/transport_baselines.py``; see decision
@@ -30,6 +31,7 @@ from usdsmoke.core.fields.sample import sample_cubic, sample_linear, voxel_posit
 
 Scheme = Literal["linear", "cubic"]
 RINGING = 2.0  # factor by which a spline may leave the range of the voxels around a place
+FADING = 10.0  # factor by which it may be below a linear look-up
 SCHEMES: tuple[Scheme, ...] = ("linear", "cubic")
 Velocity = Tensor | Callable[[Tensor], Tensor]
 
@@ -77,6 +79,8 @@ def warp(
             least, most = _cell_range(values, departures)
             bounded = torch.minimum(torch.maximum(moved, least / RINGING), most * RINGING)
             moved = torch.where(least > 0, bounded, moved)
+            if bool((least == 0).any()):  # nor is smoke emptied where it begins
+                moved = torch.maximum(moved, sample_linear(values, departures) / FADING)
     return moved.reshape(values.shape) if active_ijk is None else moved
 
 
