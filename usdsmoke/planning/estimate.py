@@ -43,7 +43,7 @@ from usdsmoke.base.machine import GIB, usable_cpus
 from usdsmoke.base.naming import COLOUR_CHANNELS
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.settings import Config
-from usdsmoke.core.generator.definition import N_VIEWS, training_parts
+from usdsmoke.core.generator.definition import training_parts
 from usdsmoke.core.sequence.controls import (
     by_themselves,
     coarse_factor,
@@ -153,10 +153,10 @@ def training_seconds(frames: Sequence[FrameSize], config: Config, n_styles: int 
     frame = max(sizes, key=lambda size: size.active_voxels)
     active, _ = _refined(frame, config)
     whole, work = n_styles * PIXEL_TIME * _picture_pixels(frame, config), 0.0
-    for number, (kept, n_iterations) in enumerate(training_parts(active)):
-        pixels = whole * (kept / active) ** (2 / 3)
-        drawn = (1 if number else N_VIEWS) * (pixels + VOXEL_TIME * kept)
-        work += n_iterations * (ITERATION + drawn + LEARN_TIME * kept)
+    for part in training_parts(active):
+        pixels = whole * (part.voxels / active) ** (2 / 3)
+        drawn = part.views * (pixels + VOXEL_TIME * part.voxels)
+        work += part.iterations * (ITERATION + drawn + LEARN_TIME * part.voxels)
     return work / _speed(config)
 
 

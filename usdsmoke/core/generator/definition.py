@@ -1,6 +1,8 @@
 """The form of the generator: its octaves, channels and parameters, and how long it is trained;
 without torch."""
 
+from dataclasses import dataclass
+
 FORMAT = "3"  # rises with every change after which older parameters paint something else
 N_LEVELS = 5  # octaves; a colour depends on smoke at most 92 voxels away
 N_NOISE = 3  # channels of noise in each octave but the finest
@@ -9,24 +11,36 @@ N_CONVOLUTIONS = 2  # of each octave
 N_NEIGHBOURS = 27  # of 3 x 3 x 3, the voxel itself in the middle
 
 N_ITERATIONS = 1200  # of a training, at most
-N_VIEWS = 2  # of an iteration
+N_VIEWS = 2  # of an iteration; of a whole frame after its crops, one
 USUAL_VOXELS = 60_000  # of an iteration; with more, as many fewer iterations take as long
 CROP_VOXELS = 240_000  # of the crops of a large frame, before it is learned as a whole
 WHOLE_VOXELS = 1_200_000  # of a frame that is learned as a whole; of a larger one, crops are
 
 
-def training_parts(n_voxels: int, n_iterations: int = N_ITERATIONS) -> list[tuple[int, int]]:
-    """Voxels that an iteration paints at most, and iterations, of each part of a training.
+@dataclass(frozen=True)
+class TrainingPart:
+    """A part of a training, all of whose iterations are alike."""
 
-    >>> training_parts(40_000), training_parts(1_000_000)
-    ([(40000, 1200)], [(240000, 300), (1000000, 72)])
+    voxels: int  # that an iteration paints at most
+    iterations: int
+    views: int  # whose mean is the loss of an iteration
+
+
+def training_parts(n_voxels: int, n_iterations: int = N_ITERATIONS) -> list[TrainingPart]:
+    """The parts of a training: a large frame is learned from crops first.
+
+    >>> [(part.voxels, part.iterations, part.views) for part in training_parts(1_000_000)]
+    [(240000, 300, 2), (1000000, 72, 1)]
 
     Args:
         n_voxels: of the largest frame.
         n_iterations: for small frames.
     """
-    sizes = [CROP_VOXELS] * (n_voxels > CROP_VOXELS) + [min(n_voxels, WHOLE_VOXELS)]
-    return [(n, max(1, round(n_iterations * min(1, USUAL_VOXELS / n)))) for n in sizes]
+    first_crops = n_voxels > CROP_VOXELS
+    sizes = [CROP_VOXELS] * first_crops + [min(n_voxels, WHOLE_VOXELS)]
+    counts = [max(1, round(n_iterations * min(1, USUAL_VOXELS / size))) for size in sizes]
+    views = [N_VIEWS] * first_crops + [1 if first_crops else N_VIEWS]
+    return [TrainingPart(*part) for part in zip(sizes, counts, views, strict=True)]
 
 
 def parameter_shapes() -> dict[str, tuple[int, ...]]:

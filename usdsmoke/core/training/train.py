@@ -12,7 +12,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from usdsmoke.core.generator.definition import N_VIEWS, USUAL_VOXELS, training_parts
+from usdsmoke.core.generator.definition import (
+    N_VIEWS,
+    USUAL_VOXELS,
+    TrainingPart,
+    training_parts,
+)
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.steps.optimize import Descent, minimize
@@ -86,19 +91,19 @@ def train_generator(
     found = Generator.new(encode_srgb(held_out.targets.background), seed)
     largest = max(len(problem.smoke.ijk) for problem in (*problems, held_out))
     parts, done, best = training_parts(largest, n_iterations), 0, float("inf")
-    whole = sum(n for _, n in parts)
-    for number, (most, n) in enumerate(parts):
-        canvases = _canvases(problems, most, 1 if number else N_VIEWS)
-        lesson = _Lesson(canvases, judge(crop(held_out, N_CROPS, most), held_out), seed, done)
-        rate = RATE * (LATER if number else 1.0)
-        check = min(CHECK_EVERY, max(LEAST_CHECK, round(CHECK_EVERY * USUAL_VOXELS / most)))
+    whole = sum(part.iterations for part in parts)
+    for number, part in enumerate(parts):
+        canvases = _canvases(problems, part)
+        seen = crop(held_out, N_CROPS, part.voxels)
+        lesson = _Lesson(canvases, judge(seen, held_out), seed, done)
+        descent = Descent(RATE * (LATER if number else 1.0), part.iterations)
+        check = max(LEAST_CHECK, round(CHECK_EVERY * min(1, USUAL_VOXELS / part.voxels)))
         found, best, n_done = lesson.learn(
-            found, Descent(rate, n), check, lambda state: tell(replace(state, n_iterations=whole))
+            found, descent, check, lambda state: tell(replace(state, n_iterations=whole))
         )
         done += n_done
         judging = lesson.judging
         del canvases, lesson  # before the next part takes as much memory
-    seen = crop(held_out, N_CROPS, parts[-1][0])
     n_cold = sum(cold_iterations(seen))
     return Trained(found, best, cold_loss(seen, judging), n_cold, done)
 
@@ -165,28 +170,24 @@ def _add_to_mean(mean: Generator, generator: Generator, iteration: int) -> None:
         values.lerp_(generator.parameters[name].detach(), 1 - share)
 
 
-def _canvases(problems: Sequence[StepProblem], most: int, n_drawn: int) -> list[Canvas]:
-    """What is painted in turn; where that is much, it shares the views of a frame.
-
-    Args:
-        most: voxels of each at most.
-        n_drawn: views whose mean is a loss.
-    """
-    size = min(most, max(len(problem.smoke.ijk) for problem in problems))
+def _canvases(problems: Sequence[StepProblem], part: TrainingPart) -> list[Canvas]:
+    """What is painted in turn; where that is much, it shares the views of a frame."""
+    size = min(part.voxels, max(len(problem.smoke.ijk) for problem in problems))
     if size <= USUAL_VOXELS:
-        return [Canvas(problem, problem.config.optimize.seed, n_drawn) for problem in problems]
+        return [Canvas(problem, problem.config.optimize.seed, part.views) for problem in problems]
     n_all = max(1, MOST_AT_ONCE // size)
     chosen = problems[:: -(-len(problems) // n_all)]
     n_crops = max(1, min(N_CROPS, n_all) // len(chosen))
-    parts = []
+    pieces = []
     for place, problem in enumerate(chosen):
-        crops = [crop(problem, place * n_crops + number, most) for number in range(n_crops)]
-        parts += [(part, problem) for part in ([problem] if crops[0] is problem else crops)]
+        numbers = range(place * n_crops, (place + 1) * n_crops)
+        crops = [crop(problem, number, part.voxels) for number in numbers]
+        pieces += [(piece, problem) for piece in ([problem] if crops[0] is problem else crops)]
     canvases = []
-    for number, (part, whole) in enumerate(parts):
-        views = part.config.views
-        shared = views.replace(pool=max(N_VIEWS, views.pool // len(parts)))
-        own = replace(part, config=part.config.replace(views=shared))
-        seed = part.config.optimize.seed + number
-        canvases.append(Canvas(own, seed, n_drawn, None if part is whole else whole))
+    for number, (piece, whole) in enumerate(pieces):
+        views = piece.config.views
+        shared = views.replace(pool=max(N_VIEWS, views.pool // len(pieces)))
+        own = replace(piece, config=piece.config.replace(views=shared))
+        seed = piece.config.optimize.seed + number
+        canvases.append(Canvas(own, seed, part.views, None if piece is whole else whole))
     return canvases
