@@ -175,6 +175,31 @@ def test_windows_that_share_a_coarse_step_start_alike():
     assert len(frame.report.shape.iterations) == 1
 
 
+def test_the_coarse_step_weighs_changes_in_the_pixels_of_the_shot():
+    """It is a run on voxels twice as large, in which a change has half as many pixels."""
+    steps = {"steps": ["shape"], "threads": 1, "tolerance": 0.0}
+    config = quick_config(
+        shape={"iterations": [4, 2], "warm_rate": 1.0}, optimize=steps,
+        windows={"shared_octaves": 1, "steadiness": 0.25},
+    )  # fmt: skip
+    scene, style = scene_of(FRAMES, config, "Y"), random_style()
+    starts = list(coarse_frames(FRAMES[:2], [style], scene, config))
+    small = [replace(frame, density=coarsen_field(frame.density, 2)) for frame in FRAMES[:2]]
+    coarse = replace(scene, pixel_size=2 * scene.pixel_size, image_size=round(scene.image_size / 2))
+
+    def difference(steadiness: float) -> float:
+        own = quick_config(
+            shape={"iterations": [4], "warm_rate": 1.0}, optimize=steps,
+            windows={"steadiness": steadiness},
+        )  # fmt: skip
+        job = make_context([style], coarse, own, None, 24.0, None, 2)
+        *_, frame = run_frames(small, job)
+        assert frame.unclamped is not None and starts[1].displacement is not None
+        return float((frame.unclamped.values - starts[1].displacement.values).abs().max())
+
+    assert difference(1.0) == 0 < difference(0.25)
+
+
 def test_a_windows_first_frame_stays_near_the_coarse_step():
     """Which the frames behind it are pulled to, and which the window before it started from."""
 

@@ -122,11 +122,16 @@ def _coarse_scene(scene: Scene, factor: int) -> Scene:
 
 
 def _coarse_config(config: Config, factor: int) -> Config:
-    """Only the octaves that are as coarse as the coarse voxels, or coarser; without a network."""
+    """Only the octaves that are as coarse as the coarse voxels, or coarser; without a network.
+
+    ``windows.steadiness`` counts changes in the shot's pixels, not in the coarse ones: what changes
+    here from frame to frame, windows pass on (decision 053).
+    """
     n_fine = factor.bit_length() - 1
-    shape, colour = config.shape, config.colour
+    shape, colour, windows = config.shape, config.colour, config.windows
     return config.replace(
         shape=shape.replace(iterations=shape.iterations[: -n_fine or None]),
         colour=colour.replace(iterations=colour.iterations[: -n_fine or None]),
+        windows=windows.replace(steadiness=windows.steadiness * factor**2),
         optimize=config.optimize.replace(start=""),
     )
