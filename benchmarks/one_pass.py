@@ -40,8 +40,10 @@ from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.sequence.start import start_colours
 from usdsmoke.core.sequence.stylize import stylize_window
 from usdsmoke.core.sequence.transit import Transit
+from usdsmoke.core.smoke.schedule import network_iterations
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.smoke.tasks import share_among
+from usdsmoke.core.steps.behind import refine_painted
 from usdsmoke.core.steps.colour import initial_colours, run_colour_step
 from usdsmoke.core.steps.targets import StepProblem
 from usdsmoke.core.training.canvas import Canvas
@@ -139,6 +141,10 @@ def measure_frame(
     def go_on(start: Callable[[int], torch.Tensor], count: int, seed: int) -> torch.Tensor:
         return run_colour_step(seeded(seed), [*[0] * n_coarse, count], start(seed), warm=True)[0]
 
+    def refine(count: int, seed: int) -> torch.Tensor:
+        iterations = network_iterations([*[0] * n_coarse, count], len(smoke.ijk))
+        return refine_painted(seeded(seed), iterations, paint(seed))[0]
+
     paint(seeds[0])  # warms up
     rows = [row("noise", lambda seed: initial_colours(smoke, "noise", seed))]
     for octaves in ways.cold:
@@ -147,7 +153,7 @@ def measure_frame(
     if (carried := ways.neighbour) is not None:
         rows.append(row(f"neighbour + {WARM}", partial(go_on, lambda seed: carried, WARM)))
     rows.append(row("network", paint))
-    rows += [row(f"network + {count}", partial(go_on, paint, count)) for count in ways.after]
+    rows += [row(f"network + {count}", partial(refine, count)) for count in ways.after]
     return rows
 
 

@@ -50,7 +50,7 @@ from usdsmoke.core.sequence.controls import (
     network_alone,
     step_iterations,
 )
-from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, pool_size, warm_iterations
+from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, network_views, pool_size, warm_iterations
 from usdsmoke.vdb.header import GridHeader
 
 BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and cached frames
@@ -270,7 +270,7 @@ def _step_work(
     pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * frame.visible ** (2 / 3)
     above, finest = octaves
     is_warm = not frame.window_start
-    iterations = step_iterations(config, step, is_warm and finest == 1.0)
+    iterations = step_iterations(config, step, is_warm and finest == 1.0, round(active))
     scales = [float(OCTAVE_SCALE) ** -n for n in reversed(range(len(iterations)))]
     iterations = [
         n if above < scale <= finest else 0 for n, scale in zip(iterations, scales, strict=True)
@@ -285,6 +285,8 @@ def _step_work(
             continue
         iteration = n_drawn * (pixels * scale**2 + VOXEL_TIME * active * scale**3)
         drawn = min(n_pool, n_iterations * n_drawn)
+        if step == "colour" and config.optimize.paints and not is_warm:
+            drawn = network_views(config.views, n_iterations)
         work += n_iterations * (ITERATION + iteration) + drawn * VIEW_TIME * active * scale**3
         if step == "shape":
             work += (MAP_TIME * active + BOX_TIME * box) * scale**3

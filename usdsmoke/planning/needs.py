@@ -190,9 +190,12 @@ def _animated_settings(volumes: Volumes) -> list[str]:
 
 
 def _step_text(step: str, config: Config) -> str:
-    octaves = "/".join(map(str, step_iterations(config, step)))
+    iterations = step_iterations(config, step)
+    how = f"with {'/'.join(map(str, iterations))} iterations, coarse to fine"
+    if step == "colour" and config.optimize.paints:
+        how = f"with {sum(iterations)} iterations behind a network"
     what = f", which paints {' and '.join(config.painted)}" if step == "colour" else ""
-    return f"{step} step with {octaves} iterations, coarse to fine{what}"
+    return f"{step} step {how}{what}"
 
 
 def _grids_text(config: Config) -> str:

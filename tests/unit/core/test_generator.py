@@ -17,8 +17,10 @@ from usdsmoke.core.generator.levels import make_levels
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.generator.weights import read_weights
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
+from usdsmoke.core.smoke import schedule
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.tasks import computing_threads
+from usdsmoke.core.steps.behind import refine_painted
 from usdsmoke.core.steps.targets import StepProblem
 from usdsmoke.core.style.safetensors import safetensors_bytes
 from usdsmoke.core.training import train
@@ -188,6 +190,42 @@ def test_after_a_network_the_finest_octave_follows_and_neighbours_go_on(file_pat
     found = run_core(alike, CONFIG.with_values(values), SCENE, [STYLE])
     done = [one.report.colour.iterations for one in found if one.report.colour is not None]
     assert done == [(2,), (1,)]
+
+
+def test_behind_a_network_large_frames_are_refined_on_larger_voxels_first(
+    file_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = CONFIG.with_values({"optimize.start": str(file_path), "colour.iterations": [0, 0, 8]})
+    done = []
+    for most_alike in (60_000, 100):
+        monkeypatch.setattr(schedule, "MOST_ALIKE", most_alike)
+        (found,) = run_core(FRAMES[:1], config, SCENE, [STYLE])
+        assert found.report.colour is not None
+        done.append(found.report.colour.iterations)
+    assert done == [(8,), (6, 2)]
+
+
+def test_what_is_finer_than_an_octave_behind_a_network_stays(trained: Trained) -> None:
+    problem = problem_of(puff(16))
+    values = {"views.pool": 16, "optimize.tolerance": 0.0}
+    problem = replace(problem, config=problem.config.with_values(values))
+    neighbours = make_levels(problem.smoke, 1)[0].neighbours
+
+    def roughness(values: torch.Tensor) -> float:
+        """Mean second difference along i; a straight line has none."""
+        around = torch.cat([values, torch.full((1, 3), torch.nan)])[neighbours[:, [4, 13, 22]]]
+        return float((around[:, 0] - 2 * around[:, 1] + around[:, 2]).abs().nanmean())
+
+    painted, changes = trained.generator.paint(problem.smoke, SCENE.gamma_w, 0), []
+    for iterations in ([24, 0], [0, 24]):
+        found, ends, n_views = refine_painted(problem, iterations, painted)
+        assert [end.iteration + 1 for end in ends] == [24]
+        assert n_views == 12  # half as many as iterations
+        changes.append(found - painted)
+    assert roughness(changes[0]) < 0.4 * roughness(changes[1])
+    assert roughness(painted + changes[0]) == pytest.approx(roughness(painted), rel=0.1)
+    canvas = Canvas(problem, 99, 4)
+    assert canvas.loss(painted + changes[1], 0) < canvas.loss(painted, 0)
 
 
 def test_training_has_the_same_bits_with_any_number_of_threads() -> None:

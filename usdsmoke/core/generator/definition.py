@@ -3,6 +3,8 @@ without torch."""
 
 from dataclasses import dataclass
 
+from usdsmoke.core.smoke.schedule import MOST_ALIKE
+
 FORMAT = "3"  # rises with every change after which older parameters paint something else
 N_LEVELS = 5  # octaves; a colour depends on smoke at most 92 voxels away
 N_NOISE = 3  # channels of noise in each octave but the finest
@@ -12,7 +14,7 @@ N_NEIGHBOURS = 27  # of 3 x 3 x 3, the voxel itself in the middle
 
 N_ITERATIONS = 1200  # of a training, at most
 N_VIEWS = 2  # of an iteration; of a whole frame after its crops, one
-USUAL_VOXELS = 60_000  # of an iteration; with more, as many fewer iterations take as long
+USUAL_VOXELS = MOST_ALIKE  # of an iteration; with more, as many fewer iterations take as long
 CROP_VOXELS = 240_000  # of the crops of a large frame, before it is learned as a whole
 WHOLE_VOXELS = 1_200_000  # of a frame that is learned as a whole; of a larger one, crops are
 

@@ -10,7 +10,12 @@ from usdsmoke.base.sections import ColourConfig
 from usdsmoke.base.setting_model import extra_of
 from usdsmoke.base.settings import Config, declared_settings, style_shares
 from usdsmoke.base.volume import FrameControls, VolumeSource
-from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, octave_iterations, warm_iterations
+from usdsmoke.core.smoke.schedule import (
+    OCTAVE_SCALE,
+    network_iterations,
+    octave_iterations,
+    warm_iterations,
+)
 
 # The dotted name of a setting by the field of ``FrameControls`` that stands for it.
 SETTINGS = {
@@ -122,18 +127,23 @@ def without_network(config: Config) -> Config:
     return config.replace(optimize=own, colour=colour)
 
 
-def step_iterations(config: Config, step: str, is_warm: bool = False) -> list[int]:
+def step_iterations(
+    config: Config, step: str, is_warm: bool = False, n_voxels: int = 0
+) -> list[int]:
     """Iterations of a frame's step per octave, coarse to fine.
 
     Args:
-        config: of the frame. Where a network paints cold starts, only the finest octave is left.
+        config: of the frame.
         step: "shape" or "colour".
         is_warm: whether the frame starts from its neighbour's result.
+        n_voxels: of its smoke, where a network may paint it: see ``network_iterations``.
     """
     octaves = octave_iterations(getattr(config, step).iterations, config.optimize.iterations)
     if is_warm:
         return warm_iterations(octaves, config.windows.warm_iterations)
-    return warm_iterations(octaves, 1.0) if step == "colour" and config.optimize.start else octaves
+    if step == "colour" and config.optimize.start:
+        return network_iterations(octaves, n_voxels)
+    return octaves
 
 
 def network_alone(config: Config) -> bool:

@@ -188,7 +188,8 @@ def _unseen_views(frame: PaintedFrame) -> float:
     """How far the style loss of views nobody optimised differs from that of optimised ones."""
     config = frame.config
     iterations = config.shape.iterations if frame.paint is None else config.colour.iterations
-    pool = _views(frame, config.views.pool, config.optimize.seed + len(iterations) - 1)
+    n_views = frame.n_views or config.views.pool
+    pool = _views(frame, n_views, config.optimize.seed + len(iterations) - 1)
     seen = pool[:: max(1, len(pool) // N_SEEN)][:N_SEEN]
     unseen = _views(frame, N_UNSEEN, config.optimize.seed ^ OTHER_SEED, "poisson")
     losses = _losses(frame, [*seen, *unseen])

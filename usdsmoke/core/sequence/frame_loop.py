@@ -19,10 +19,7 @@ from torch import Tensor
 from usdsmoke.base.frame_report import FrameReport, StepReport, TemporalErrors, TransportReport
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.volume import VolumeFrame
-from usdsmoke.core.sequence.coherence import (
-    average_colours,
-    average_displacement,
-)
+from usdsmoke.core.sequence.coherence import average_colours, average_displacement
 from usdsmoke.core.sequence.controls import network_alone
 from usdsmoke.core.sequence.cuts import judge_passage
 from usdsmoke.core.sequence.error_estimates import tail_figures
@@ -44,6 +41,7 @@ from usdsmoke.core.sequence.steadiness import Steadiness
 from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.schedule import pool_size
+from usdsmoke.core.steps.behind import refine_painted
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.light_share import picture_reports
 from usdsmoke.core.steps.move import displacement_of, move_density
@@ -208,7 +206,7 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
     """The frame with its colours."""
     started = time.perf_counter()
     before, report, is_cold = _connected(context, frame, before)
-    painted = selected(frame.smoke, frame.mask)
+    painted, n_views = selected(frame.smoke, frame.mask), 0
     if (known := context.known_of(frame)) is not None:
         colours = known.colours
     else:
@@ -221,15 +219,18 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         frame.targets.prepare({"colour": iterations})
         watch = context.watch(frame.time_code)("colour", iterations)
         problem = frame.colour_problem()
-        is_warm = start is not None  # also from the coarse step, as in the shape step
-        colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
+        if context.generator is not None and paint is None and start is not None:
+            colours, ends, n_views = refine_painted(problem, iterations, start, watch)
+        else:
+            is_warm = start is not None  # also from the coarse step, as in the shape step
+            colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
         light, look = picture_reports(problem, painted, colours)
-        ended = _report("colour", ends, frame, started)
+        ended = _report("colour", ends, frame, started, n_views)
         report = replace(report, light=light, look=look, colour=ended)
     kept = replace(frame.carried or Carried(frame.time_code), colours=colours)
     return advance(
         frame, PaintedFrame, painted=painted, colours=colours, carried=kept, report=report,
-        is_cold=is_cold,
+        is_cold=is_cold, n_views=n_views,
     )  # fmt: skip
 
 
@@ -379,10 +380,12 @@ def _with_next(frames: Iterator[Phase]) -> Iterator[tuple[Phase, Phase | None]]:
         yield waiting.popleft(), None
 
 
-def _report(step: str, ends: Sequence[Minimum], frame: OpenedFrame, started: float) -> StepReport:
-    """How the octaves of a step ended."""
+def _report(
+    step: str, ends: Sequence[Minimum], frame: OpenedFrame, started: float, n_views: int = 0
+) -> StepReport:
+    """How the octaves of a step ended; ``n_views`` as of ``PaintedFrame``."""
     views = frame.config.views
-    pool = pool_size(views, frame.source.thin_axis is not None)
+    pool = n_views or pool_size(views, frame.source.thin_axis is not None)
     drawn = views.count * ends[-1].n_joined if ends else 1
     return StepReport(
         seconds=time.perf_counter() - started,

@@ -133,8 +133,9 @@ class OpenedFrame:
 
         A frame that starts from the shared coarse step leaves out the octaves that were done there.
         """
-        iterations = step_iterations(self.config, step, is_warm)
-        if is_warm or self.coarse is None:
+        iterations = step_iterations(self.config, step, is_warm, len(self.smoke.ijk))
+        is_painted = step == "colour" and self.config.optimize.paints  # by a network
+        if is_warm or is_painted or self.coarse is None:
             return iterations
         n_done = self.coarse.n_octaves(len(iterations))
         return [0 if number < n_done else n for number, n in enumerate(iterations)]
@@ -199,6 +200,7 @@ class PaintedFrame(MovedFrame):
     painted: ActiveSmoke | None = None
     colours: Tensor | None = None  # display-encoded [N 3], of the painted voxels
     alone: bool = False  # the next frame takes nothing from this one
+    n_views: int = 0  # that its last octave had; 0: ``views.pool``
 
     @property
     def is_start(self) -> bool:

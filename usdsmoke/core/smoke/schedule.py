@@ -7,6 +7,8 @@ from usdsmoke.base.sections import ViewsConfig
 # degrees, half the ranges of azimuth and elevation of the views
 ALL_ROUND = (180.0, 40.0)
 AROUND_CAMERA = (12.0, 6.0)
+MOST_ALIKE = 60_000  # voxels: frames with more are learned in fewer iterations
+COARSER = 0.75  # of the iterations behind a network: on larger voxels, if there are more
 OCTAVE_SCALE = 2  # of neighbouring octaves: whole blocks of voxels, so that mass is kept exactly
 
 
@@ -45,6 +47,35 @@ def warm_iterations(per_octave: Sequence[int], share: float) -> list[int]:
     """
     finest = max((k for k, n in enumerate(per_octave) if n), default=None)
     return [max(1, round(n * share)) if k == finest else 0 for k, n in enumerate(per_octave)]
+
+
+def network_iterations(per_octave: Sequence[int], n_voxels: int) -> list[int]:
+    """Iterations of a frame that starts from what a network paints, coarse to fine.
+
+    The finest octave's alone. On a large frame three of four of them are done on voxels of twice
+    the size, where each takes a sixth of the time: its network had fewer iterations, and what it
+    leaves is not in the finest detail alone.
+
+    >>> network_iterations([80, 80, 32], 10_000), network_iterations([80, 80, 32], 1_000_000)
+    ([0, 0, 32], [0, 24, 8])
+
+    Args:
+        n_voxels: of the frame's smoke.
+    """
+    iterations = warm_iterations(per_octave, 1.0)
+    finest = max((k for k, n in enumerate(iterations) if n), default=0)
+    if finest > 0 and n_voxels > MOST_ALIKE:
+        iterations[finest - 1] = round(COARSER * iterations[finest])
+        iterations[finest] -= iterations[finest - 1]
+    return iterations
+
+
+def network_views(views: ViewsConfig, n_iterations: int) -> int:
+    """Number of different views of an octave behind a network: each is drawn twice at least.
+
+    With 8 iterations of as many views on a million voxels, the last ones undo what the first did.
+    """
+    return min(pool_size(views), max(1, n_iterations * views.count // 2))
 
 
 def view_ranges(views: ViewsConfig) -> tuple[float, float]:

@@ -6,6 +6,7 @@
 - ``motion``: what a potential moves, on blocks of voxels
 - ``move``: the density moved by that displacement
 - ``colour``: the colour step: colours of the voxels
+- ``behind``: its iterations behind what a network has painted
 - ``light_share``: what finished pictures show of lamps and of the style
 - ``joined``: iterations of the last octave that are one step, of two views
 - ``optimize``: Adam with rollbacks, for any objective

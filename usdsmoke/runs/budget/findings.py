@@ -282,7 +282,7 @@ def _hardly_fallen(
     asked = octave_iterations(config.colour.iterations, config.optimize.iterations)
     if found.fallen is None or len(found.loss) < sum(map(bool, asked)):  # started further on
         return
-    if config.optimize.start and len(found.loss) == 1:  # the octave behind a network
+    if config.optimize.start and len(found.loss) < max(len(asked), 2):  # behind a network
         return
     end = found.loss[-1]
     if not end > HARDLY_FALLEN * (first := found.fallen + end) or not first > 0:
