@@ -28,14 +28,12 @@ class Scene:
         frame: what is stylized.
         truth: the density at any place, averaged over a voxel or nearly so; None if not known.
         fine: the same on a grid ``factor`` times finer whose block means are the frame.
-        optimiser: whether runs four times as long are affordable.
     """
 
     frame: VolumeFrame
     truth: Truth | None = None
     fine: np.ndarray | None = None
     factor: int = 1
-    optimiser: bool = True
 
     @property
     def known_by(self) -> str:
@@ -50,7 +48,7 @@ def make_scenes(data: Path) -> dict[str, Scene]:
     fine = simulate_smoke(64, SLAB, {"3-D": 48, "2-D": 1})["3-D"]
     scenes = {
         "plume 32": _refined(fine, 2),
-        "plume 64": Scene(frame_of(fine), optimiser=False),
+        "plume 64": Scene(frame_of(fine)),
         "blob": _analytic(_blob),
         "filaments": _analytic(_filaments),
     }
@@ -58,17 +56,17 @@ def make_scenes(data: Path) -> dict[str, Scene]:
         (density,) = read_grids(data / PLUME_FILE, [GridRequest("density")], GridsConfig())
         real = np.maximum(density.values, 0.0)
         scenes["real plume 1/4"] = _refined(real, 4)
-        scenes["real plume 1/2"] = _refined(real, 2, optimiser=False)
+        scenes["real plume 1/2"] = _refined(real, 2)
     return scenes
 
 
-def _refined(fine: np.ndarray, factor: int, optimiser: bool = True) -> Scene:
+def _refined(fine: np.ndarray, factor: int) -> Scene:
     fine = np.pad(fine, [(0, -size % factor) for size in fine.shape])
     sizes = [size // factor for size in fine.shape]
     coarse = fine.reshape([n for size in sizes for n in (size, factor)]).mean(axis=(1, 3, 5))
     frame = frame_of(coarse.astype(np.float32))
     fine = np.where(np.repeat(_filled(frame, factor), factor, 2), fine, 0.0)
-    return Scene(frame, None, fine.astype(np.float32), factor, optimiser)
+    return Scene(frame, None, fine.astype(np.float32), factor)
 
 
 def _filled(frame: VolumeFrame, factor: int) -> np.ndarray:
