@@ -110,6 +110,7 @@ class LookReport:
     colour_off: float  # difference of the mean colours, in the channel where it is largest
     contrast: float  # deviation of the colours around their mean, over the style's
     shown: float = 1.0  # of the style's deviation, that which is left at the pictures' size
+    white: float = 1.0  # linear luminance that one pixel of the style in a hundred is above
 
 
 @dataclass(frozen=True)

@@ -111,6 +111,23 @@ def test_a_velocity_that_does_not_explain_the_smoke_is_named(factor: float, cure
     assert bool(doubt) == bool(cure) and cure in doubt
 
 
+@pytest.mark.parametrize(("factor", "cure"), [(1.0, ""), (-1.0, "against it")])
+def test_a_dense_nozzle_at_rest_says_nothing_about_the_smoke_that_leaves_it(
+    factor: float, cure: str
+) -> None:
+    """Ten times the mass of all other smoke, in a hundredth of the voxels."""
+    frames = []
+    for number in (1, 2):
+        frame = drifting(number, factor)
+        values = frame.density.values.copy()
+        start = 10 - 2 * number
+        values[start : start + 3, 9:12, 9:12] = 300.0
+        density = dataclasses.replace(frame.density, values=values)
+        frames.append(dataclasses.replace(frame, density=density))
+    doubt = run_core(frames, CONFIG)[1].report.velocity_doubt
+    assert bool(doubt) == bool(cure) and cure in doubt
+
+
 def test_a_density_that_blinks_is_told_from_a_jump() -> None:
     dim, bright = drifting(1), drifting(2)
     density = dataclasses.replace(dim.density, values=dim.density.values / 12)

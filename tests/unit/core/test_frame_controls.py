@@ -12,7 +12,7 @@ import torch
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
 from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.volume import FrameControls, VolumeFrame
+from usdsmoke.base.volume import DenseField, FrameControls, VolumeFrame
 from usdsmoke.core.sequence.coarse import coarse_frames
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import make_context
@@ -51,15 +51,20 @@ def assert_same(ours: Sequence[StylizedFrame], others: Sequence[StylizedFrame]) 
             assert np.array_equal(one.emission.values, other.emission.values)
 
 
-def way(result: StylizedFrame, source: VolumeFrame) -> float:
-    """How far the density is from the source's, as a share of it."""
-    ours, theirs = by_voxel(result.density), by_voxel(source.density)
-    nothing = (0.0,)
+def difference(field: DenseField, other: DenseField) -> float:
+    """How far a field is from another one, as a share of that."""
+    ours, theirs = by_voxel(field), by_voxel(other)
+    nothing = (0.0,) * (1 if field.values.ndim == 3 else field.values.shape[3])
     changes = [
-        abs(ours.get(voxel, nothing)[0] - theirs.get(voxel, nothing)[0])
+        np.abs(np.subtract(ours.get(voxel, nothing), theirs.get(voxel, nothing))).sum()
         for voxel in ours.keys() | theirs.keys()
     ]
-    return sum(changes) / float(source.density.values.sum(dtype=float))
+    return float(sum(changes) / other.values.sum(dtype=float))
+
+
+def way(result: StylizedFrame, source: VolumeFrame) -> float:
+    """How far the density is from the source's, as a share of it."""
+    return difference(result.density, source.density)
 
 
 # strength
@@ -109,9 +114,10 @@ def test_a_frame_of_strength_0_among_others_is_the_source_and_does_not_break_the
     whole = run_core(frames, config)
     if len(steps) == 1:
         assert_same([dipped[3]], [whole[3]])
-    for ours, others in zip(dipped[1:], whole[1:], strict=True):
-        for kind, error in others.report.to_json()["temporal"].items():
-            assert getattr(ours.report.temporal, kind) == pytest.approx(error, rel=0.1, abs=0.1)
+    # with a chain that starts anew, 6% of the density and 37% of the emission differ
+    assert difference(dipped[3].density, whole[3].density) < 0.02
+    if whole[3].emission is not None:
+        assert difference(dipped[3].emission, whole[3].emission) < 0.02
 
 
 def test_frames_far_from_any_effect_are_left_out_and_what_follows_starts_anew():

@@ -153,6 +153,16 @@ def test_lumps_far_apart_have_the_extinction_of_one_and_are_named():
     assert two.widened > 3 and one.widened == 1
 
 
+@pytest.mark.parametrize("side", [1, 3])
+def test_wisps_before_and_after_the_smoke_do_not_choose_its_extinction(side):
+    """Frames count by their columns: most frames hold a lump, all of the smoke is in one."""
+    wisp = np.zeros((20, 20, 20), np.float32)
+    wisp[9 : 9 + side, 9 : 9 + side, 9 : 9 + side] = 0.5
+    frames = [frame_of(x, float(n)) for n, x in enumerate([wisp, wisp, puff(20), wisp, wisp])]
+    alone, shot = (scene_of(some, CONFIG) for some in (frames[2:3], frames))
+    assert shot.gamma_w == pytest.approx(alone.gamma_w, rel=0.2)
+
+
 @pytest.mark.parametrize("floor", [1e-6, 1e-4, 1e-2])
 def test_a_floor_in_all_of_the_box_changes_neither_extinction_nor_reach(floor):
     """What a simulation leaves everywhere: it is not what is made opaque."""

@@ -209,6 +209,7 @@ def test_a_step_with_iterations_that_does_nothing_is_laid_to_its_pictures(
         (LookReport(0.0, 0.1, shown=0.9), None, "colour.iterations"),
         (LookReport(0.0, 0.1, shown=0.2), None, "style.size"),
         (LookReport(0.3, 0.5), None, "colour.iterations"),
+        (LookReport(0.3, 0.5, white=0.001), None, ""),
         (LookReport(0.3, 0.5), LightReport(0.3, 0.1, 1.2, -2.0), "optics.albedo"),
         (LookReport(0.3, 0.5), LightReport(0.08, 0.0, 0.1, 4.0), "colour.iterations"),
     ],

@@ -32,6 +32,7 @@ from usdsmoke.core.fields.sample import sample_cubic, sample_linear, voxel_posit
 Scheme = Literal["linear", "cubic"]
 RINGING = 2.0  # factor by which a spline may leave the range of the voxels around a place
 FADING = 10.0  # factor by which it may be below a linear look-up
+_ROUND_OFF = 1e-9  # of the mass that is missing
 SCHEMES: tuple[Scheme, ...] = ("linear", "cubic")
 Velocity = Tensor | Callable[[Tensor], Tensor]
 
@@ -79,8 +80,10 @@ def warp(
             least, most = _cell_range(values, departures)
             bounded = torch.minimum(torch.maximum(moved, least / RINGING), most * RINGING)
             moved = torch.where(least > 0, bounded, moved)
-            if bool((least == 0).any()):  # nor is smoke emptied where it begins
-                moved = torch.maximum(moved, sample_linear(values, departures) / FADING)
+            # the linear look-up, which is at most ``most``, is only needed where it may be larger
+            faint = (moved < most / FADING).reshape(len(moved), -1).any(1).nonzero()[:, 0]
+            kept = sample_linear(values, departures[faint]) / FADING
+            moved = moved.index_copy(0, faint, torch.maximum(moved[faint], kept))
     return moved.reshape(values.shape) if active_ijk is None else moved
 
 
@@ -121,23 +124,33 @@ def _of_pairs(
     return box
 
 
-def correct_mass(moved: Tensor, source: Tensor) -> tuple[Tensor, float]:
-    """``moved`` scaled to the sum of ``source``, and the relative mass error it had before.
+def correct_mass(
+    moved: Tensor, source: Tensor, linear: Tensor | None = None
+) -> tuple[Tensor, float]:
+    """``moved`` with the sum of ``source``, and the relative mass error it had before.
 
     Semi-Lagrangian transport does not conserve mass where the flow converges or the look-up blurs.
-    The scale cannot distinguish that loss from smoke that left the box: use it only if none can
+    What is missing cannot be distinguished from smoke that left the box: use it only if none can
     leave.
+
+    Mass is missing where a look-up is uncertain, at a dense core for instance, and one factor would
+    take it from all other smoke. So values go towards ``linear`` where that lies on the right side,
+    by the share min(1, k |linear - moved|) of the way, with the k that suits [Bermejo2002]; the
+    bound of 1 is ours, and keeps values between both look-ups. Without ``linear``, and for what
+    that leaves, all values are scaled by one factor.
 
     Args:
         moved: any shape, the result of transport.
         source: its input; same voxel size.
+        linear: the result of the linear scheme, shape of ``moved``.
 
     Returns:
         (corrected, (sum moved - sum source) / sum source). If the sums do not have the same sign,
-        or one is 0, nothing can be scaled: ``moved`` is returned unchanged, with its error (0 if
+        or one is 0, nothing can be corrected: ``moved`` is returned unchanged, with its error (0 if
         both are 0, infinite if only the source's is).
 
-    Gradients: through both tensors into the corrected one; the error is a plain number.
+    Gradients: through the tensors into the corrected one, at the k that was found; the error is a
+    plain number.
     """
     target, found = source.double().sum(), moved.double().sum()
     if target.item() == 0.0:
@@ -145,7 +158,39 @@ def correct_mass(moved: Tensor, source: Tensor) -> tuple[Tensor, float]:
     error = ((found - target) / target).item()
     if error <= -1.0:
         return moved, error
+    if linear is not None and error != 0.0:
+        moved = _towards(linear, moved, (target - found).item())
+        found = moved.double().sum()
     return moved * (target / found).to(moved.dtype), error
+
+
+def _towards(linear: Tensor, moved: Tensor, missing: float) -> Tensor:
+    """``moved`` with what is missing, as far as ``linear`` has it."""
+    sign = math.copysign(1.0, missing)
+    way = ((linear - moved) * sign).clamp_min(0.0)
+    longest = float(way.max())
+    if longest == 0:
+        return moved
+    lengths = way.detach()[way.detach() > 0].double() / longest
+    share = _even_share(lengths, abs(missing) / longest)
+    return moved + sign * way * (way * (share / longest)).clamp(max=1.0)
+
+
+def _even_share(lengths: Tensor, wanted: float) -> float:
+    """The k for which the sum of x min(1, k x) over ``lengths`` [N] is ``wanted``.
+
+    The largest of them is 1. That k which makes all of them whole where their sum is too little.
+    Newton's method stays below the answer, because the sum is concave in k.
+    """
+    k, most = 0.0, 1 / float(lengths.min())
+    while k < most:
+        is_whole = lengths * k >= 1
+        slope = float(lengths[~is_whole].square().sum())
+        rest = wanted - float(lengths[is_whole].sum()) - k * slope
+        if slope == 0 or rest <= _ROUND_OFF * wanted:
+            return k
+        k += rest / slope
+    return most
 
 
 def choose_substeps(velocity: Tensor, dt: float, cfl: float = 1.0, limit: int = 1000) -> int:

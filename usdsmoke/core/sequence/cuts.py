@@ -13,10 +13,11 @@ from torch import Tensor
 from usdsmoke.base.errors import PlanError
 from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
-from usdsmoke.core.smoke.levels import bounded
+from usdsmoke.core.smoke.levels import bounded, ranked
 
 UNLIKE = 0.4  # from this difference on the frames have nothing in common
 ALIKE = 0.5  # of a cut's difference: less is left with another scale of the density
+MOST_SMOKE = 0.9  # of the voxels, whose densities count in full where a velocity is judged
 LEAST = 0.005  # below this difference no other velocity is tried
 DOUBTFUL = 0.1  # from this one on velocities in other units are, which take many steps
 HELPFUL = 1.1  # so much better than without it: the velocity's unit is not doubted below
@@ -73,8 +74,29 @@ def judge_passage(
         return Passage(given, "", remark=remark)
     if given < LEAST or velocity is None or velocity.is_empty or transit.seconds == 0:
         return Passage(given, "")
+    return Passage(given, _doubt(*_evened(before, smoke), transit, time_codes_per_second, unit))
+
+
+def _evened(before: ActiveSmoke, smoke: ActiveSmoke) -> tuple[ActiveSmoke, ActiveSmoke]:
+    """Both without what is denser than most of the frame before.
+
+    Velocities are judged by all smoke: a dense nozzle rests where its smoke flows on.
+    """
+    level = ranked(before.density, MOST_SMOKE)
+    one, other = (replace(s, density=s.density.clamp(max=level)) for s in (before, smoke))
+    return one, other
+
+
+def _doubt(
+    before: ActiveSmoke,
+    smoke: ActiveSmoke,
+    transit: Transit,
+    time_codes_per_second: float,
+    unit: str,
+) -> str:
+    """What is wrong with the velocity, and what to do; "" if nothing is."""
     if doubt := _doubt_rest(before, smoke, transit):
-        return Passage(given, doubt)
+        return doubt
 
     def difference(factor: float) -> float:
         try:
@@ -82,7 +104,7 @@ def judge_passage(
         except PlanError:  # too fast to be traced
             return 1.0
 
-    rest = difference(0.0)
+    given, rest = difference(1.0), difference(0.0)
     factors = {"against": -1.0}
     if given >= DOUBTFUL or rest < HELPFUL * given:
         factors |= {"per frame": time_codes_per_second, "per second": 1 / time_codes_per_second}
@@ -90,7 +112,7 @@ def judge_passage(
     best = min(found, key=lambda name: found[name])
     least = min(rest, found[best])
     if not any(given > max(ratio * least, least + more) for ratio, more in TELLING):
-        return Passage(given, "")
+        return ""
     if found[best] > CLEARLY * rest:
         cure = "without any. Check its unit and direction, or set stage.motion=estimate"
     elif best == "against":
@@ -100,8 +122,7 @@ def judge_passage(
     else:
         cure = f"with {factors[best]:.3g} times of it, as if it were {best}. Check its unit"
         cure += f", stage.velocity_unit={best.removeprefix('per ')}"
-    text = f"the densities do not move by the velocity: they agree better {cure}."
-    return Passage(given, text)
+    return f"the densities do not move by the velocity: they agree better {cure}."
 
 
 def _other_scale(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit, given: float) -> str:

@@ -83,7 +83,8 @@ def _look(views: Sequence[ColourView], linear: Tensor, targets: StyleTargets) ->
     deviation = float((weight * (pictures - mean).square()).sum().sqrt())
     wanted, spread = targets.colours
     off = float((mean - wanted.to(mean)).abs().max())
-    return LookReport(off, deviation / spread if spread > 0 else 1.0, targets.shown)
+    contrast = deviation / spread if spread > 0 else 1.0
+    return LookReport(off, contrast, targets.shown, targets.white)
 
 
 def _advised(stops: float, factor: float) -> float | None:

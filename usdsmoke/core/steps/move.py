@@ -133,16 +133,16 @@ def move_density(
     largest = float(u.norm(dim=-1).max())
     u.div_(box.new_tensor(lattice.spacing))
     scheme = shape.interpolation
-    moved = _moved(box, u, level, scheme)
+    moved, linear = _moved(box, u, level, scheme)
     measures: list[Callable[[], Any]] = [
-        partial(_scheme_errors, box, u, moved, scheme),
+        partial(_scheme_error, box, u, moved, scheme),
         partial(_motionless, source, box, lattice, shape, mask),
         partial(measure_evenness, u, box),
     ]
-    (linear, estimate), motionless, evenness = run_tasks(measures)
+    estimate, motionless, evenness = run_tasks(measures)
 
     # restore the mass, and put the box into the field
-    result, mass_error = _with_mass(moved, box, shape.mass_correction, share)
+    result, mass_error = _with_mass(moved, box, shape.mass_correction, share, linear)
     if bool((excess := whole - box).any()):
         carried = warp(excess, u, scheme="linear")
         result = result + _with_mass(carried, excess, shape.mass_correction, share)[0]
@@ -153,7 +153,7 @@ def move_density(
         values, low = _among_the_rest(density, values, low, (share > 0).cpu().numpy())
     report = TransportReport(
         largest_displacement=largest,
-        linear_difference=linear,
+        linear_difference=None if linear is None else _difference(linear, moved),
         error=estimate,
         mass_error=mass_error,
         folded=evenness.folded,
@@ -164,18 +164,23 @@ def move_density(
     return field_from_box(density, values, low), report
 
 
-def _moved(box: Tensor, u: Tensor, level: float, scheme: Scheme) -> Tensor:
-    """The box moved by a displacement in voxels, where there is smoke or something moves.
+def _moved(box: Tensor, u: Tensor, level: float, scheme: Scheme) -> tuple[Tensor, Tensor | None]:
+    """The box moved by a displacement in voxels, and by the linear scheme if that is another one.
 
-    Round-off of the spline is not smoke: it would fill the box with active voxels.
+    Where there is smoke or something moves: round-off of the spline is not smoke, and would fill
+    the box with active voxels.
     """
     active = torch.nonzero((box > 0) | (u != 0).any(dim=-1))
     where = tuple(active.T)
-    found = warp(box, u[where], active_ijk=active, scheme=scheme).clamp_min(0)
-    is_smoke = (found > LEAST_SHARE * level) | (box[where] > 0)
-    moved = torch.zeros_like(box)
-    moved[where] = found.masked_fill_(~is_smoke, 0)
-    return moved
+
+    def by(scheme: Scheme) -> Tensor:
+        found = warp(box, u[where], active_ijk=active, scheme=scheme).clamp_min(0)
+        is_smoke = (found > LEAST_SHARE * level) | (box[where] > 0)
+        moved = torch.zeros_like(box)
+        moved[where] = found.masked_fill_(~is_smoke, 0)
+        return moved
+
+    return by(scheme), None if scheme == "linear" else by("linear")
 
 
 def move_field(
@@ -213,20 +218,16 @@ def move_field(
     return field_from_box(field, moved, low)
 
 
-def _scheme_errors(
-    box: Tensor, u: Tensor, moved: Tensor, scheme: Scheme
-) -> tuple[float | None, Estimate]:
-    """The linear scheme's difference, None if it is the scheme itself, and the scheme's error."""
-    linear = None
-    if scheme != "linear":
-        active = torch.nonzero((box > 0) | (moved > 0))
-        cheap = warp(box, u[tuple(active.T)], active_ijk=active, scheme="linear")
-        total = float(moved.double().sum())
-        differs = float((cheap - moved[tuple(active.T)]).double().abs().sum())
-        linear = differs / total if total > 0 else 0.0
+def _difference(linear: Tensor, moved: Tensor) -> float:
+    """Of the linear scheme from the accurate one, relative to the mass."""
+    total = float(moved.double().sum())
+    return float((linear - moved).double().abs().sum()) / total if total > 0 else 0.0
+
+
+def _scheme_error(box: Tensor, u: Tensor, moved: Tensor, scheme: Scheme) -> Estimate:
     started = time.perf_counter()
     error = warp_error(box, u, moved, scheme)
-    return linear, Estimate(error, time.perf_counter() - started)
+    return Estimate(error, time.perf_counter() - started)
 
 
 def moves_along(lengths: Sequence[int], kind: str) -> bool:
@@ -256,15 +257,21 @@ def _motionless(
 
 
 def _with_mass(
-    moved: Tensor, box: Tensor, is_corrected: bool, share: Tensor | None
+    moved: Tensor,
+    box: Tensor,
+    is_corrected: bool,
+    share: Tensor | None,
+    linear: Tensor | None = None,
 ) -> tuple[Tensor, float]:
     """The moved density, with the mass it had if that is corrected, and the error before."""
     if share is None:
-        corrected, error = correct_mass(moved, box)
+        corrected, error = correct_mass(moved, box, linear)
         return corrected if is_corrected else moved, error
     # a curl reaches one voxel beyond the mask, and a factor would reach everywhere
     here, result = share > 0, box.clone()
-    corrected, error = correct_mass(moved[here], box[here])
+    corrected, error = correct_mass(
+        moved[here], box[here], None if linear is None else linear[here]
+    )
     result[here] = corrected if is_corrected else moved[here]
     return result, error
 

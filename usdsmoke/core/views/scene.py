@@ -202,11 +202,26 @@ def _columns(smoke: Voxels, view: View) -> tuple[np.ndarray, int]:
 def _thick_columns(
     seen: Sequence[tuple[Voxels, View]], percentile: float
 ) -> tuple[list[np.ndarray], float, float]:
-    """The columns of each frame, what thick ones have, and the share of all that is as thick."""
+    """The columns of each frame, what thick ones have, and the share of all that is as thick.
+
+    Frames count by their number of columns: a wisp before or after the smoke hardly does.
+    """
     found = [_columns(*pair) for pair in seen]
-    columns = [dense for dense, _ in found]
-    thick = float(np.median([np.percentile(c, percentile) for c in columns]))
-    return columns, thick, float(np.median([(dense >= thick).sum() / n for dense, n in found]))
+    columns, sizes = [dense for dense, _ in found], [len(dense) for dense, _ in found]
+    thick = _median([float(np.percentile(c, percentile)) for c in columns], sizes)
+    return columns, thick, _median([float((c >= thick).sum() / n) for c, n in found], sizes)
+
+
+def _median(values: Sequence[float], weights: Sequence[float]) -> float:
+    """The median of weighted values; the usual one where all weigh the same.
+
+    >>> _median([30.0, 1.0, 2.0], [1, 1, 9])
+    2.0
+    """
+    order = np.argsort(values)
+    weight = np.asarray(weights, float)[order]
+    middles = weight.cumsum() - weight / 2
+    return float(np.interp(weight.sum() / 2, middles, np.asarray(values)[order]))
 
 
 def _hidden_mass(smoke: Voxels, view: View, thick: float) -> float:
@@ -226,10 +241,11 @@ def measure_scene(
     """Extinction and pixel size from a few frames of the shot; empty frames are skipped.
 
     An unset ``optics.gamma`` is chosen so that the thick columns (``optics.percentile``) have the
-    optical depth ``optics.depth``, seen from the middle view, in the median of the frames; likewise
-    ``gamma_shape``. A set gamma is per voxel, the paper's meaning, and is divided by the voxel
-    size. Where it leaves the thick columns fainter than an opacity of 0.7, the pictures are exposed
-    to that: the paper divides each by its own maximum, after which exposure jumps with the frame.
+    optical depth ``optics.depth``, seen from the middle view, in the median of the frames, which
+    count by how many columns they have; likewise ``gamma_shape``. A set gamma is per voxel, the
+    paper's meaning, and is divided by the voxel size. Where it leaves the thick columns fainter
+    than an opacity of 0.7, the pictures are exposed to that: the paper divides each by its own
+    maximum, after which exposure jumps with the frame.
     With cameras, columns are those that they see, and no pixel is finer than their nearest ones.
     Remains far from the smoke widen the pictures, but are no columns.
 
@@ -273,7 +289,7 @@ def measure_scene(
         gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, image_size,
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
         thick=thick, thick_share=share, widened=widened,
-        hidden=float(np.median([_hidden_mass(*pair, thick) for pair in seen])),
+        hidden=_median([_hidden_mass(*pair, thick) for pair in seen], [len(c) for c in columns]),
         stops=optics.exposure or 0.0,
     )  # fmt: skip
 

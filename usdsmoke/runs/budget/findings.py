@@ -16,7 +16,13 @@ from usdsmoke.runs.budget.light_findings import (
     find_scene,
     of_last_step,
 )
-from usdsmoke.runs.budget.look_findings import colour_remedy, find_look, has_high_rate, length_of
+from usdsmoke.runs.budget.look_findings import (
+    colour_remedy,
+    find_look,
+    has_high_rate,
+    is_nearly_black,
+    length_of,
+)
 from usdsmoke.runs.budget.planned import PlannedVolume, neighbours
 from usdsmoke.runs.budget.rows import (
     COLOUR_OPTIMISER,
@@ -163,6 +169,8 @@ def _advice(row: ErrorRow, config: Config, report: FrameReport) -> tuple[str, st
         return "Use the default of windows.pattern_speed", "windows.pattern_speed"
     if row.setting == "grids.half" and (changed := _changed(config, "grids.prune", "grids.half")):
         return f"Unset {' and '.join(changed)}", changed[0]
+    if row is COLOUR_OPTIMISER and is_nearly_black(report):
+        return "Brighten the style image: it is nearly black, and its loss is small", ""
     if row is COLOUR_OPTIMISER and has_high_rate(config):
         return "Use the default of colour.learning_rate", "colour.learning_rate"
     if row in (SHAPE_OPTIMISER, COLOUR_OPTIMISER):

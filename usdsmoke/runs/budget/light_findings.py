@@ -14,7 +14,7 @@ from usdsmoke.runs.budget.rows import RESOLUTION
 
 FEW_COLUMNS = 0.02  # share of the columns that is as thick as those that gamma is chosen by
 DEEPEST = 50.0  # optical depth of thick columns: a picture of them is their front alone
-LIKE_ASKED = 10.0  # times the depth that is asked for: frames of a shot are not alike
+LIKE_ASKED = 5.0  # times the depth that is asked for: frames of a shot are not alike
 FAR_BELOW = 100.0  # likewise
 BY_SIDE = 4.0  # times: a plume or a puff has less than 2
 FAINTEST = 1e-12  # likewise: thinner smoke is not brightened any more

@@ -63,7 +63,7 @@ QUADRATURE = ErrorRow(
     without="no colour step: opacity needs no sum along the ray",
     advice="set grids.refine=2: the step along the rays is a voxel",
     setting="grids.refine",
-    most=0.5,
+    most=0.25,
 )
 RESOLUTION = ErrorRow(
     name="resolution",
@@ -95,7 +95,7 @@ TRANSPORT = ErrorRow(
     without=_NO_SHAPE,
     advice="set grids.refine=2, or a smaller shape.reach",
     setting="shape.reach",
-    most=0.5,
+    most=0.25,
 )
 LINEAR_TRANSPORT = ErrorRow(
     name="optimiser's transport",
@@ -127,7 +127,7 @@ def _of_transport(name: str, how: str, field: str, most: float) -> ErrorRow:
     )
 
 
-MASS = _of_transport("mass", "measured before it is corrected", "mass_error", 0.25)
+MASS = _of_transport("mass", "measured before it is corrected", "mass_error", 0.1)
 FOLDED = _of_transport(
     "folded smoke", "voxels at which the determinant is not above 0", "folded", 0.05
 )
@@ -193,7 +193,7 @@ def _temporal(kind: str, step: str, setting: str, n: int) -> ErrorRow:
         why_absent=lambda volume: volume.without_step(step) or volume.idle or volume.no_chain(n),
         without=f"no chain of {n + 1} frames, or no {step} step",
         temporal=(field, step) if n == 1 else None,
-        most=0.8,  # a pattern drawn anew: 1
+        most=0.5 if n == 1 else 0.8,  # a pattern drawn anew: 1
         advice=f"look at the sequence; if it flickers, check that the smoke has the right "
         f"velocity, or change {setting}",
         setting=setting,
