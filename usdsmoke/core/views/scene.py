@@ -281,14 +281,13 @@ def measure_scene(
         )
     )
     exposure, exposure_shape = (_exposure(gamma, thick) for gamma in (gamma_w, gamma_w_shape))
-    widened = longest / near if fine < pixel_size else 1.0
     grey = -np.expm1(-gamma_w_shape * np.concatenate(columns)) * exposure_shape
     inside = grey[grey > 0.3] if (grey > 0.3).any() else grey
     image_size = math.ceil(longest / pixel_size - 1e-6)
     return Scene(
         gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, image_size,
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
-        thick=thick, thick_share=share, widened=widened,
+        thick=thick, thick_share=share, widened=longest / near if fine < pixel_size else 1.0,
         hidden=_median([_hidden_mass(*pair, thick) for pair in seen], [len(c) for c in columns]),
         stops=optics.exposure or 0.0,
     )  # fmt: skip
