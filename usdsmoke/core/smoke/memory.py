@@ -143,6 +143,8 @@ class _Accumulate(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
         (gradient,) = ctx.saved_tensors
+        if float(upstream) == 1:
+            return gradient.contiguous(), None
         return elementwise(lambda part: part * upstream, gradient), None
 
 
