@@ -127,7 +127,7 @@ def test_stages_in_microns_and_in_megametres(voxel):
     assert scaled.density.values == pytest.approx(plain.density.values, abs=1e-3)
     # round-off decides which voxels count as faint in a view, and a few colours with it
     off = np.abs(scaled.emission.values * voxel - plain.emission.values)
-    assert off.mean() < 1e-3 and off.max() < 0.06
+    assert off.mean() < 1e-3 and off.max() < 0.1
 
 
 def test_smoke_a_million_units_from_the_origin():

@@ -17,7 +17,8 @@ from usdsmoke.core.smoke.levels import bounded, ranked
 
 UNLIKE = 0.4  # from this difference on the frames have nothing in common
 ALIKE = 0.5  # of a cut's difference: less is left with another scale of the density
-MOST_SMOKE = 0.9  # of the voxels, whose densities count in full where a velocity is judged
+MOST_SMOKE = 0.9  # of the voxels
+FAR_DENSER = 2.0  # times those: denser voxels count as much where a velocity is judged
 LEAST = 0.005  # below this difference no other velocity is tried
 DOUBTFUL = 0.1  # from this one on velocities in other units are, which take many steps
 HELPFUL = 1.1  # so much better than without it: the velocity's unit is not doubted below
@@ -78,11 +79,11 @@ def judge_passage(
 
 
 def _evened(before: ActiveSmoke, smoke: ActiveSmoke) -> tuple[ActiveSmoke, ActiveSmoke]:
-    """Both without what is denser than most of the frame before.
+    """Both without the excess of what is far denser than most of the frame before.
 
     Velocities are judged by all smoke: a dense nozzle rests where its smoke flows on.
     """
-    level = ranked(before.density, MOST_SMOKE)
+    level = FAR_DENSER * ranked(before.density, MOST_SMOKE)
     one, other = (replace(s, density=s.density.clamp(max=level)) for s in (before, smoke))
     return one, other
 
