@@ -130,7 +130,6 @@ MORE = (*range(5, 13), 18, 19)  # a piece to be animated, and steps of eight
 PLAN = Study(
     shots=(
         _shot(64, "strokes", 0, 24, MORE),
-        _shot(64, "strokes", 0, 16, FEW),
         _shot(96, "strokes", 0, 13, FEW),
     ),
     curve=(
