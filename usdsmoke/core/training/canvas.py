@@ -17,6 +17,7 @@ from usdsmoke.core.steps.targets import StepProblem
 HELD_OUT = 0x5EED_0000  # between a run's seed and that of views and noise which judge
 N_JUDGES = 4  # views that judge
 MOST_AROUND = 2  # times a crop's voxels at full resolution, computed with them
+COLD_VIEWS = 5  # of an octave of these: with more, their maps take half of the time (decision 054)
 COLD = 15  # iterations of each octave, see ``cold_iterations``
 
 
@@ -106,6 +107,9 @@ def crop(problem: StepProblem, number: int, most: int) -> StepProblem:
 
 def cold_loss(problem: StepProblem, canvas: Canvas) -> float:
     """What a few cold iterations of the colour step reach, judged by a canvas of the problem."""
+    views = problem.config.views
+    few = views.replace(pool=min(views.pool, max(COLD_VIEWS, views.count)))
+    problem = replace(problem, config=problem.config.replace(views=few))
     colours, _ = run_colour_step(problem, cold_iterations(problem))
     with torch.no_grad():
         return float(canvas.loss(colours, 0))

@@ -1,0 +1,16 @@
+"""The comparison of devices: ways, voxels and colours of a small box."""
+
+import pytest
+
+from benchmarks import one_pass_device
+
+
+def test_each_way_is_timed_and_the_network_alone_is_the_fastest(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    small = ["--box", "12", "14", "12", "--views", "2", "--iterations", "2", "2", "2"]
+    assert one_pass_device.main(small) == 0
+    rows = [line.split("|") for line in capsys.readouterr().out.splitlines() if "| cpu |" in line]
+    seconds = {row[3].strip(): float(row[4]) for row in rows}
+    assert list(seconds) == ["noise, 6 iterations", "network + 32", "network"]
+    assert seconds["network"] < seconds["network + 32"]
