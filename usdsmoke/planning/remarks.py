@@ -3,9 +3,10 @@
 import itertools
 import math
 from collections.abc import Sequence
+from statistics import median
 
 from usdsmoke.base.errors import count_text
-from usdsmoke.base.sections import ColourConfig, WindowsConfig
+from usdsmoke.base.sections import ColourConfig, ViewsConfig, WindowsConfig
 from usdsmoke.base.time_codes import (
     find_holes,
     format_time_code,
@@ -15,7 +16,7 @@ from usdsmoke.base.time_codes import (
 )
 from usdsmoke.planning.materials import lights_remark
 from usdsmoke.planning.plan import VolumePlan
-from usdsmoke.planning.visibility import is_inside, pixels_across, share_within
+from usdsmoke.planning.visibility import is_inside, pixels_across, share_within, voxel_size
 from usdsmoke.planning.windows import followed_codes
 
 # Times the default learning rate. On the example plume of 32 voxels 16 times it ends 6 % worse, 100
@@ -27,6 +28,8 @@ EXTREME_RATE = 10.0
 _COARSE = 2.0
 _HEAVY = 1000.0  # of a loss beside the style's: with as much hardly any strokes are left
 _FEWEST = 16  # voxels: fewer have no shape that strokes could follow
+_FEW_PIXELS = 32  # of a picture
+_UNLIKE = 4.0  # times the usual voxel: a shot may change its resolution by a factor of 2
 _FEWEST_PIXELS = 16  # of a repetition of the style: fewer hold no strokes
 _WITHIN = 0.5  # of a box: less is neighbours that touch
 _MOST_REFINED = 4  # of the hint: 64 times the voxels
@@ -43,6 +46,8 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
             *_rate(volume),
             *_heavy_losses(volume),
             *_coarse(volume),
+            *_few_pixels(volume),
+            *_unlike_voxels(volume),
             *_tiny_style(volume),
             *_unmoved(volume),
             *_overlap(volume),
@@ -190,6 +195,35 @@ def _longest(volume: VolumePlan) -> int:
     """Voxels along the longest side of all frames."""
     boxes = (frame.size.box for frame in volume.frames if frame.size.computed)
     return max(map(max, boxes), default=0)
+
+
+def _few_pixels(volume: VolumePlan) -> list[str]:
+    """Pictures that a setting leaves hardly any pixels."""
+    pixels, usual = volume.config.views.image_size, ViewsConfig().image_size
+    if volume.config.views.camera or pixels >= min(_FEW_PIXELS, _longest(volume)):
+        return []
+    return [
+        f"views.image_size={pixels} leaves pictures of <{volume.source.prim_path}> only {pixels} "
+        f"pixels: hardly any strokes fit. The default is {usual}"
+    ]
+
+
+def _unlike_voxels(volume: VolumePlan) -> list[str]:
+    """Frames whose voxels have quite another size, as after a wrong unit or scale."""
+    sizes = {f.source.time_code: voxel_size(volume, f) for f in volume.frames if not f.is_empty}
+    known = {code: size for code, size in sizes.items() if size > 0}
+    if not known:
+        return []
+    usual = median(known.values())
+    unlike = [code for code, size in known.items() if not 1 / _UNLIKE < size / usual < _UNLIKE]
+    if not unlike:
+        return []
+    return [
+        f"voxels of <{volume.source.prim_path}> at {name_time_codes(unlike)} are "
+        f"{known[unlike[0]] / usual:.3g} times as large as usual in this shot. Extinction, pixels "
+        "and motion suit the others. Check the unit of these files and the scale of the Volume "
+        "there"
+    ]
 
 
 def _tiny_style(volume: VolumePlan) -> list[str]:

@@ -60,6 +60,12 @@ def share_within(
     return float(((places >= 0) & (places <= 1)).all(axis=0).mean())
 
 
+def voxel_size(volume: VolumePlan, frame: FramePlan) -> float:
+    """The size of a frame's voxels, stage units; 0 if it is not known."""
+    points = _box_points(frame.source.fields[volume.source.density], frame.grid)
+    return 0.0 if points is None else _lengths(points[0], frame.size.box)[0]
+
+
 def pixels_across(config: Config, volume: VolumePlan, frames: Sequence[FramePlan]) -> float:
     """Pixels of the camera's picture along the smoke's longest side, at most; inf if not known."""
     finest, _ = pixel_sizes(config, volume, frames)

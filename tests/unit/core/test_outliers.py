@@ -155,12 +155,23 @@ def test_lumps_far_apart_have_the_extinction_of_one_and_are_named():
 
 @pytest.mark.parametrize("side", [1, 3])
 def test_wisps_before_and_after_the_smoke_do_not_choose_its_extinction(side):
-    """Frames count by their columns: most frames hold a lump, all of the smoke is in one."""
+    """Frames count by their voxels: most frames hold a lump, all of the smoke is in one."""
     wisp = np.zeros((20, 20, 20), np.float32)
     wisp[9 : 9 + side, 9 : 9 + side, 9 : 9 + side] = 0.5
     frames = [frame_of(x, float(n)) for n, x in enumerate([wisp, wisp, puff(20), wisp, wisp])]
     alone, shot = (scene_of(some, CONFIG) for some in (frames[2:3], frames))
     assert shot.gamma_w == pytest.approx(alone.gamma_w, rel=0.2)
+
+
+@pytest.mark.parametrize("times", [0.1, 10.0])
+def test_one_frame_of_three_with_another_unit_does_not_choose_the_extinction(times):
+    frames = [
+        frame_of(puff(20), float(n), index_to_world=np.diag([scale, scale, scale, 1.0]))
+        for n, scale in enumerate([1.0, times, 1.0])
+    ]
+    fine = quick_config(views={"image_size": 256})  # pixels of the largest frame fit all voxels
+    alone, shot = (scene_of(some, fine) for some in (frames[:1], frames))
+    assert shot.gamma_w == pytest.approx(alone.gamma_w, rel=0.01)
 
 
 @pytest.mark.parametrize("floor", [1e-6, 1e-4, 1e-2])

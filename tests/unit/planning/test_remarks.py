@@ -132,6 +132,34 @@ def test_a_coarse_grid_is_told_with_the_setting_for_sharper_strokes(
     assert [f"grids.refine={refine}" in note for note in notes] == [True] * (refine is not None)
 
 
+def test_pictures_of_few_pixels_are_remarked_on(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    large = raw_grid(np.ones((222, 6, 6), np.float32))
+    write_raw(shot.stage.parent / "cache/smoke.0001.vdb", large)
+    assert any("only 16 pixels" in note for note in plan_of(shot, "views.image_size=16").notes)
+    assert not any("pixels:" in note for note in plan_of(shot, "views.image_size=64").notes)
+
+
+@pytest.mark.parametrize(("scale", "is_told"), [(2.0, False), (10.0, True), (0.1, True)])
+def test_a_frame_with_voxels_of_another_unit_is_named(
+    tmp_path: Path, scale: float, is_told: bool
+) -> None:
+    shot = make_shot(tmp_path)
+    for code, size in ((1, 1.0), (2, scale), (3, 1.0)):
+        grid = raw_grid(np.ones((6, 6, 6), np.float32), matrix=np.diag([size, size, size, 1.0]))
+        write_raw(shot.stage.parent / f"cache/smoke.{code:04d}.vdb", grid)
+    told = [note for note in plan_of(shot).notes if "as large as usual" in note]
+    assert len(told) == is_told
+    assert all(f"timeCode 2 are {scale:g} times" in note for note in told)
+
+
+def test_timecodes_at_which_a_volume_is_invisible_are_named(shot: Shot) -> None:
+    body = 'token visibility.timeSamples = {1: "inherited", 3: "invisible"}\n'
+    write_text(shot.stage, world(volume_prim(body + density_prim(sequence((1, 2, 3))))))
+    (note,) = (note for note in plan_of(shot).notes if "invisible" in note)
+    assert "timeCode 3 " in note and "--frames" in note
+
+
 @pytest.mark.usefixtures("core")
 def test_at_the_end_the_extinctions_are_told_that_keep_the_look(shot: Shot, core: FakeCore) -> None:
     told = stylize(shot.stage, shot.style, shot.output, "stage.frames=1-2").warnings

@@ -1,7 +1,9 @@
 """Density moved by a displacement: with which voxels, how accurately, and with what mass."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -148,6 +150,8 @@ def move_density(
         result = result + _with_mass(carried, excess, shape.mass_correction, share)[0]
         if share is not None:  # a sum of two parts has round-off
             result = torch.where(share > 0, result, whole)
+    if shape.mass_correction and math.isfinite(mass_error):  # which changes values by as much
+        estimate = replace(estimate, value=math.hypot(estimate.value, mass_error))
     values, low = result.cpu().numpy(), lattice.low
     if is_part and share is not None:
         values, low = _among_the_rest(density, values, low, (share > 0).cpu().numpy())

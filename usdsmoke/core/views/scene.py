@@ -204,12 +204,17 @@ def _thick_columns(
 ) -> tuple[list[np.ndarray], float, float]:
     """The columns of each frame, what thick ones have, and the share of all that is as thick.
 
-    Frames count by their number of columns: a wisp before or after the smoke hardly does.
+    Frames count by their number of voxels: a wisp before or after the smoke hardly does, and one
+    frame with another unit has no larger weight.
     """
     found = [_columns(*pair) for pair in seen]
-    columns, sizes = [dense for dense, _ in found], [len(dense) for dense, _ in found]
+    columns, sizes = [dense for dense, _ in found], _sizes(seen)
     thick = _median([float(np.percentile(c, percentile)) for c in columns], sizes)
     return columns, thick, _median([float((c >= thick).sum() / n) for c, n in found], sizes)
+
+
+def _sizes(seen: Sequence[tuple[Voxels, View]]) -> list[int]:
+    return [len(smoke.ijk) for smoke, _ in seen]
 
 
 def _median(values: Sequence[float], weights: Sequence[float]) -> float:
@@ -242,7 +247,7 @@ def measure_scene(
 
     An unset ``optics.gamma`` is chosen so that the thick columns (``optics.percentile``) have the
     optical depth ``optics.depth``, seen from the middle view, in the median of the frames, which
-    count by how many columns they have; likewise ``gamma_shape``. A set gamma is per voxel, the
+    count by how many voxels they have; likewise ``gamma_shape``. A set gamma is per voxel, the
     paper's meaning, and is divided by the voxel size. Where it leaves the thick columns fainter
     than an opacity of 0.7, the pictures are exposed to that: the paper divides each by its own
     maximum, after which exposure jumps with the frame.
@@ -288,7 +293,7 @@ def measure_scene(
         gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, image_size,
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
         thick=thick, thick_share=share, widened=longest / near if fine < pixel_size else 1.0,
-        hidden=_median([_hidden_mass(*pair, thick) for pair in seen], [len(c) for c in columns]),
+        hidden=_median([_hidden_mass(*pair, thick) for pair in seen], _sizes(seen)),
         stops=optics.exposure or 0.0,
     )  # fmt: skip
 

@@ -1,10 +1,11 @@
 """What programs disagree on about the place of a Volume, as sentences."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from pxr import Usd, UsdGeom
 
+from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import FieldSource
 
 _CLOSE = 1e-6  # of a matrix, relative to its largest element: what single precision can hold
@@ -13,7 +14,8 @@ _CLOSE = 1e-6  # of a matrix, relative to its largest element: what single preci
 def place_notes(
     volume: Usd.Prim, fields: Sequence[FieldSource], instancers: Sequence[Usd.Prim]
 ) -> tuple[str, ...]:
-    """Field prims that stand elsewhere than their Volume, and instancers that show the Volume.
+    """Field prims that stand elsewhere than their Volume, instancers that show the Volume, and when
+    it is invisible.
 
     Args:
         fields: of all selected frames.
@@ -35,7 +37,23 @@ def place_notes(
                 f"the look of the prototype <{volume.GetPath()}> is made for its own place; the "
                 f"PointInstancer <{instancer.GetPath()}> shows it in others"
             )
+    if hidden := _hidden_at(volume, {field.time_code for field in fields}):
+        notes.append(
+            f"<{volume.GetPath()}> is invisible at {name_time_codes(hidden)} and stylized there "
+            "like elsewhere. Leave these timeCodes out with --frames to save their time"
+        )
     return tuple(notes)
+
+
+def _hidden_at(volume: Usd.Prim, time_codes: Collection[float]) -> list[float]:
+    """The timeCodes at which a Volume is invisible; none where it always is: somebody named it."""
+    shown = UsdGeom.Imageable(volume)
+    hidden = [
+        code
+        for code in sorted(time_codes)
+        if shown.ComputeVisibility(code) == UsdGeom.Tokens.invisible
+    ]
+    return hidden if len(hidden) < len(time_codes) else []
 
 
 def stands_with(volume: Usd.Prim, field: FieldSource) -> bool:
