@@ -38,6 +38,7 @@ def test_the_paper_preset_has_the_published_layers_rate_iterations_and_views() -
     assert config.colour.learning_rate == pytest.approx(1 / 255, rel=0.01)
     assert sum(config.shape.iterations) == sum(config.colour.iterations) == 300
     assert (config.views.count, config.losses.statistic) == (9, "gram")
+    assert (config.losses.keep, config.shape.mass_correction) == (0, False)
 
 
 def test_an_unknown_preset_is_refused_with_those_there_are() -> None:
