@@ -17,7 +17,7 @@ from usdsmoke.core.steps.targets import StepProblem
 HELD_OUT = 0x5EED_0000  # between a run's seed and that of views and noise which judge
 N_JUDGES = 4  # views that judge
 MOST_AROUND = 2  # times a crop's voxels at full resolution, computed with them
-COLD_VIEWS = 5  # of an octave of these: with more, their maps take half of the time (decision 054)
+COLD_VIEWS = 5  # of an octave of these: with more, their maps take half of the time (decision 056)
 COLD = 15  # iterations of each octave, see ``cold_iterations``
 
 
