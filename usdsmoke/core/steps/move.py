@@ -116,8 +116,8 @@ def move_density(
     """The full density moved by the accurate scheme, and the errors of that.
 
     The excess of outliers over the dense smoke is moved by the linear scheme, with a mass of its
-    own: a spline through one voxel of 1e6 rings over a dozen voxels around, and one factor for the
-    mass of both would scale all other smoke. The errors are those of what is below.
+    own: a spline through one voxel of 1e6 rings over a dozen voxels around. The errors are those of
+    what is below.
 
     Args:
         density: the frame's (refined) density; ``source`` holds its active voxels.
@@ -150,15 +150,13 @@ def move_density(
         result = result + _with_mass(carried, excess, shape.mass_correction, share)[0]
         if share is not None:  # a sum of two parts has round-off
             result = torch.where(share > 0, result, whole)
-    if shape.mass_correction and math.isfinite(mass_error):  # which changes values by as much
-        estimate = replace(estimate, value=math.hypot(estimate.value, mass_error))
     values, low = result.cpu().numpy(), lattice.low
     if is_part and share is not None:
         values, low = _among_the_rest(density, values, low, (share > 0).cpu().numpy())
     report = TransportReport(
         largest_displacement=largest,
         linear_difference=None if linear is None else _difference(linear, moved),
-        error=estimate,
+        error=_with_correction(estimate, mass_error) if shape.mass_correction else estimate,
         mass_error=mass_error,
         folded=evenness.folded,
         unread=evenness.unread,
@@ -232,6 +230,12 @@ def _scheme_error(box: Tensor, u: Tensor, moved: Tensor, scheme: Scheme) -> Esti
     started = time.perf_counter()
     error = warp_error(box, u, moved, scheme)
     return Estimate(error, time.perf_counter() - started)
+
+
+def _with_correction(estimate: Estimate, mass_error: float) -> Estimate:
+    """The error with that of the corrected mass, which changes values by as much."""
+    changed = mass_error if math.isfinite(mass_error) else 0.0  # then nothing was corrected
+    return replace(estimate, value=math.hypot(estimate.value, changed))
 
 
 def moves_along(lengths: Sequence[int], kind: str) -> bool:
