@@ -58,9 +58,13 @@ def assert_about_equal(found: list[np.ndarray], expected: list[np.ndarray]) -> N
         assert np.linalg.norm(values - wanted) <= 0.01 * np.linalg.norm(wanted)
 
 
-def test_frames_are_those_of_the_processor(elsewhere: Elsewhere) -> None:
+@pytest.mark.parametrize("step", ["shape", "colour"])
+def test_frames_are_those_of_the_processor(step: str, elsewhere: Elsewhere) -> None:
+    """One step at a time: colours of one iteration jump with the last bits of the density."""
+    config = CONFIG.replace(optimize=CONFIG.optimize.replace(steps=(step,)))
+
     def compute() -> list[np.ndarray]:
-        found = run_core(FRAMES, CONFIG, SCENE, [STYLE])
+        found = run_core(FRAMES, config, SCENE, [STYLE])
         return [f.values for one in found for f in (one.density, one.emission) if f is not None]
 
     expected = compute()
