@@ -185,3 +185,47 @@ def test_a_wrong_velocity_of_slow_smoke_is_named(velocity, cure) -> None:
     second = run_core([creeping(1, velocity), creeping(2, velocity)], CONFIG)[1]
     doubt = second.report.velocity_doubt
     assert bool(doubt) == bool(cure) and cure in doubt
+
+
+@pytest.mark.parametrize(
+    ("factor", "cure"),
+    [
+        (0.0, "stage.motion=estimate"),
+        (0.001, "stage.motion=estimate"),
+        (0.3, "with 2 times of it"),
+        (2.0, "with 0.5 times of it"),
+    ],
+)
+def test_a_velocity_that_is_too_slow_for_its_smoke_is_named(factor: float, cure: str) -> None:
+    second = run_core([drifting(1, factor), drifting(2, factor)], CONFIG)[1]
+    assert cure in second.report.velocity_doubt
+
+
+def test_an_empty_velocity_grid_is_a_velocity_of_0() -> None:
+    """With the smoke moving in its Volume, which rests, and in one that is moved as well."""
+    empty = DenseField("vel", np.zeros((0, 0, 0, 3), np.float32), (0, 0, 0), np.eye(4))
+    moves, rides = [], []
+    for number in (1, 2):
+        frame = dataclasses.replace(drifting(number), velocity=empty)
+        moves.append(frame)
+        place = np.eye(4)
+        place[3] = [-2.0 * number, 5.0 * number, 0, 1]
+        rides.append(dataclasses.replace(frame, density_to_stage=place, velocity_to_stage=place))
+    assert "stage.motion=estimate" in run_core(moves, CONFIG)[1].report.velocity_doubt
+    assert "stage.motion=estimate" in run_core(rides, CONFIG)[1].report.velocity_doubt
+
+
+@pytest.mark.parametrize("change", ["fades", "dissolves", "flickers"])
+def test_smoke_that_changes_where_it_is_rests(change: str) -> None:
+    noise = np.random.default_rng(3).normal(size=(20, 20, 20))
+    changed = {
+        "fades": lambda values: 0.7 * values,
+        "dissolves": lambda values: np.clip(values - 0.1, 0, None),
+        "flickers": lambda values: values * np.exp(0.3 * noise),
+    }[change]
+    first, second = drifting(1, 0.0), drifting(2, 0.0)
+    density = dataclasses.replace(
+        first.density, values=changed(first.density.values).astype(np.float32)
+    )
+    results = run_core([first, dataclasses.replace(second, density=density)], CONFIG)
+    assert results[1].report.velocity_doubt == ""

@@ -7,12 +7,15 @@ pattern only rests; for two plumes that have nothing to do with each other 0.45 
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import PlanError
+from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.sequence.motion import estimate_velocity
 from usdsmoke.core.sequence.transit import Transit
-from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
+from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, densify, sample_colours
 from usdsmoke.core.smoke.levels import bounded, ranked
 
 UNLIKE = 0.4  # from this difference on the frames have nothing in common
@@ -31,6 +34,10 @@ STILL_SHARE = 0.1  # of the smoke: where the velocity is 0 in more, that part is
 # by a fifth in a frame has 0.11, but so has the rest.
 STILL_OFF, STILL_TIMES = 0.1, 3.0
 CLEARLY = 0.9  # of the difference without a velocity: only less than that speaks for another one
+# A velocity that explains no more than this leaves is compared with an estimated motion, which has
+# to be so many times better, and by so much. Noise in one place has 1.2, plumes 1.4 to 30.
+BARELY, ESTIMATED_TIMES, ESTIMATED_MORE = 0.9, 1.4, 0.03
+MOST_ESTIMATED = 2**16  # voxels in the box of each frame that a motion is estimated from
 
 
 @dataclass(frozen=True)
@@ -70,10 +77,9 @@ def judge_passage(
         how = str(error).partition(";")[0]  # and by how many voxels
         cure = "Check its unit and for single wrong voxels, or set stage.motion=estimate."
         return Passage(1.0, f"{how}, too fast to be followed: the frame starts anew. {cure}", False)
-    velocity = transit.mover.velocity
     if given >= UNLIKE and (remark := _other_scale(before, smoke, transit, given)):
         return Passage(given, "", remark=remark)
-    if given < LEAST or velocity is None or velocity.is_empty or transit.seconds == 0:
+    if given < LEAST or transit.mover.velocity is None or transit.seconds == 0:
         return Passage(given, "")
     return Passage(given, _doubt(*_evened(before, smoke), transit, time_codes_per_second, unit))
 
@@ -106,19 +112,19 @@ def _doubt(
             return 1.0
 
     given, rest = difference(1.0), difference(0.0)
-    factors = {"against": -1.0}
+    factors = {"against": -1.0, "at half the speed": 0.5, "at twice the speed": 2.0}
     if given >= DOUBTFUL or rest < HELPFUL * given:
         factors |= {"per frame": time_codes_per_second, "per second": 1 / time_codes_per_second}
     found = {name: difference(factor) for name, factor in factors.items()}
     best = min(found, key=lambda name: found[name])
     least = min(rest, found[best])
     if not any(given > max(ratio * least, least + more) for ratio, more in TELLING):
-        return ""
+        return "" if given < BARELY * rest else _doubt_nothing_moves(before, smoke, transit)
     if found[best] > CLEARLY * rest:
         cure = "without any. Check its unit and direction, or set stage.motion=estimate"
     elif best == "against":
         cure = "against it. Check the direction in which the program wrote it"
-    elif best.endswith(unit):
+    elif best.startswith("at ") or best.endswith(unit):
         cure = f"with {factors[best]:.3g} times of it. Check the program that wrote it"
     else:
         cure = f"with {factors[best]:.3g} times of it, as if it were {best}. Check its unit"
@@ -163,6 +169,43 @@ def _doubt_rest(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> st
         "it is elsewhere in the next frame. Write the velocity wherever there is smoke, or set "
         "stage.motion=estimate."
     )
+
+
+def _doubt_nothing_moves(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> str:
+    """What is wrong with a velocity that explains nothing while the smoke moves; "" if it rests.
+
+    Another scale of the density is no motion, nor is smoke that comes, goes or diffuses: a motion
+    is estimated, and has to explain far more than rest does.
+    """
+    times = float(smoke.density.double().sum() / before.density.double().sum())
+    before = replace(before, density=before.density * times)
+    rest = _difference(before, smoke, replace(transit, seconds=0.0))
+    if rest < ESTIMATED_MORE:
+        return ""
+    # Both at rest in the earlier frame's Volume, which carries them further.
+    undone = np.eye(4) if transit.ride is None else np.linalg.inv(transit.ride)
+    earlier, later = _as_frame(before, np.eye(4)), _as_frame(smoke, undone)
+    found = estimate_velocity(later, earlier, -transit.seconds)
+    mover = replace(transit.mover, velocity=found, velocity_to_stage=np.eye(4))
+    moved = _difference(before, smoke, replace(transit, mover=mover))
+    if rest < max(ESTIMATED_TIMES * moved, moved + ESTIMATED_MORE):
+        return ""
+    return (
+        f"the smoke moves, but not by its velocity, which is 0 or next to it: {rest:.0%} of it is "
+        f"elsewhere in the next frame, {moved:.0%} when an estimated motion carries it. Write the "
+        "velocity of the smoke, or set stage.motion=estimate."
+    )
+
+
+def _as_frame(smoke: ActiveSmoke, to_stage: np.ndarray) -> VolumeFrame:
+    """The smoke in a box of its own, of a resolution that is estimated from in a moment."""
+    while np.prod(np.subtract(*smoke.box[::-1]) + 1.0) > MOST_ESTIMATED:
+        smoke = coarsen(smoke)
+    low, high = smoke.box
+    dense = densify(smoke.ijk, smoke.density[:, None], torch.as_tensor(low), high - low + 1)
+    first = (int(low[0]), int(low[1]), int(low[2]))
+    values = dense[..., 0].cpu().numpy()
+    return VolumeFrame(0.0, DenseField("density", values, first, smoke.index_to_stage), to_stage)
 
 
 def _difference(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> float:
