@@ -156,6 +156,34 @@ def test_by_default_nothing_is_copied_and_the_plan_names_the_setting(fire: Shot)
     assert grids_in(run(fire).frames[0]) == {"density", "emission"}
 
 
+def test_a_field_of_the_name_of_the_look_s_own_is_replaced_and_the_plan_says_so(
+    fire: Shot,
+) -> None:
+    text = fire.stage.read_text().replace("field:heat", "field:emission")
+    fire.stage.write_text(text)
+
+    def reason(*settings: str) -> str:
+        planned = make_plan(fire.stage, fire.style, fire.output, list(settings))
+        (found,) = (item for item in planned.omitted if "emission of" in item.what)
+        return found.reason
+
+    assert "takes its place" in reason()
+    assert "takes its place" in reason("layer.copy_fields=[all]")
+    with pytest.raises(ConfigError, match="takes its place"):
+        make_plan(fire.stage, fire.style, fire.output, ["layer.copy_fields=[emission]"])
+
+
+def test_numbers_too_small_for_16_bits_are_refused_like_those_too_large(fire: Shot) -> None:
+    half = ("grids.half=true", "layer.copy_fields=[heat]")
+    for value, found in ((1e-9, "100%"), (1e9, "65504")):
+        write_vdb(fire.stage.parent / "cache/heat.0003.vdb", ("temperature",), value=value)
+        with pytest.raises(ConfigError, match=rf"{found}.*layer\.copy_fields"):
+            run(fire, *half)
+        assert not list(fire.output.rglob("*.vdb"))
+    write_vdb(fire.stage.parent / "cache/heat.0003.vdb", ("temperature",), value=1e-4)
+    assert len(run(fire, *half).frames) == 4
+
+
 def test_a_field_that_is_not_there_or_stands_elsewhere_is_refused_by_name(fire: Shot) -> None:
     with pytest.raises(ConfigError, match=r'"heta" of </World/smoke>.*layer.copy_fields'):
         run(fire, "layer.copy_fields=[heta]")

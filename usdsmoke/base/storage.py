@@ -13,6 +13,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
 
 LARGEST_HALF = 65504.0  # largest finite 16-bit float
+MOST_LOST = 0.01  # of a copied field; 16-bit floats lose up to 0.05 % of numbers above 6e-5
 BRIGHTEST = 2.54  # times white, of what a voxel emits: ``core.smoke.srgb.BRIGHTEST``, linear
 
 
@@ -106,14 +107,24 @@ def check_half_copy(name: str, values: np.ndarray, config: GridsConfig) -> None:
         name: of the copy.
 
     Raises:
-        ConfigError: with the largest number and the one that can be held.
+        ConfigError: with the largest number and the one that can be held, or the share of small
+            numbers that is lost.
     """
-    largest = float(np.abs(values).max(initial=0.0)) if config.half else 0.0
+    if not config.half:
+        return
+    largest = float(np.abs(values).max(initial=0.0))
     if largest > LARGEST_HALF:
         raise ConfigError(
             f"16-bit floats hold numbers up to {LARGEST_HALF:g}, but the copied field "
             f'"{name}" reaches {largest:g}. Unset grids.half (--half), or leave the field '
             "out of layer.copy_fields."
+        )
+    lost = _difference(values, values, half=True)
+    if not lost <= MOST_LOST:
+        raise ConfigError(
+            f'16-bit floats lose numbers below 3e-8: {lost:.0%} of the copied field "{name}", '
+            f"which reaches {largest:g}. Unset grids.half (--half), or leave the field out of "
+            "layer.copy_fields."
         )
 
 

@@ -14,6 +14,7 @@ from usdsmoke.vdb.header import FileHeader, GridHeader
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 
 EVERYTHING = "all"  # in ``layer.copy_fields``
+REPLACED = "the look's own field of this name takes its place"
 _COMPONENTS = {"float": 1, "vec3s": 3}
 
 
@@ -66,6 +67,7 @@ def find_copies(
         return [() for _ in volume.frames], {}
     found, reasons = [], dict[str, str]()
     ours = {volume.density, *config.colour_grids}
+    reasons |= dict.fromkeys({*volume.copied} & {*config.colour_grids}, REPLACED)
     for frame, velocity in zip(volume.frames, velocities, strict=True):
         taken = ours | ({grid.name for grid in velocity.grids} if velocity else set())
         taken |= set(volume.velocity) if velocity else set()

@@ -12,6 +12,7 @@ from usdsmoke.core.sequence.controls import SETTINGS, by_themselves, in_effect, 
 from usdsmoke.core.smoke.schedule import has_one_view, pool_size
 from usdsmoke.core.style.definition import learned_layers, oriented_layers
 from usdsmoke.core.style.layers import content_layers, style_layers, vgg19_layers
+from usdsmoke.planning.copied import REPLACED
 from usdsmoke.planning.features import start_needed
 from usdsmoke.planning.materials import lights_needed, lights_omitted, materials_needed
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
@@ -358,23 +359,21 @@ def _why_no_mask(config: Config, volumes: Volumes) -> str:
 def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
     """What one Volume's stage values and headers leave out."""
     found: list[tuple[str, str]] = []
-    request = volume.source.request
-    if request.ignored:
+    if ignored := volume.source.request.ignored:
         reason = "UsdSmokeStyleAPI is not applied to the prim; apply it to use them"
-        found.append((", ".join(request.ignored), reason))
-    if volume.source.other_fields:
-        fields = "field" if len(volume.source.other_fields) == 1 else "fields"
-        what = f"{fields} {', '.join(volume.source.other_fields)}"
+        found.append((", ".join(ignored), reason))
+    ours = {*volume.config.colour_grids} & {*volume.source.other_fields}
+    found += [(f"field {name}", REPLACED) for name in sorted(ours)]
+    if others := [name for name in volume.source.other_fields if name not in ours]:
+        what = f"{'field' if len(others) == 1 else 'fields'} {', '.join(others)}"
         found.append((what, "not used; stays in the source's files (layer.copy_fields)"))
     if volume.beside:
         what = f"{'grid' if len(volume.beside) == 1 else 'grids'} {', '.join(volume.beside)}"
-        reason = "layer.copy_fields=[all] copies them; no relationship leads there"
-        found.append((what, reason))
+        found.append((what, "in the density's file; layer.copy_fields=[all] copies them"))
     found += [(f"the copy of {name}", reason) for name, reason in volume.not_copied.items()]
     if volume.cuts and volume.config.windows.size > 1:
         found.append(("coherence over cuts", _cuts_text(volume.cuts)))
-    empty = [frame for frame in volume.frames if frame.is_empty]
-    if empty:
+    if empty := [frame for frame in volume.frames if frame.is_empty]:
         what = f"pictures and features at {_time_codes(empty)}"
         found.append((what, "the frames are empty"))
     filled = [frame for frame in volume.frames if not frame.is_empty]

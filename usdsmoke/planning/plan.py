@@ -8,6 +8,7 @@ from typing import Any
 
 from usdsmoke.base.errors import ConfigError, PlanError, count_text
 from usdsmoke.base.settings import Config
+from usdsmoke.base.time_codes import parse_frames, select_frames
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.planning.copied import CopiedGrid
 from usdsmoke.planning.estimate import CostEstimate, FrameSize
@@ -252,3 +253,10 @@ def _frame_dict(volume: VolumePlan, frame: FramePlan) -> dict[str, Any]:
         "empty": frame.is_empty,
         "output_file": volume.file_of(frame),
     }
+
+
+def named_frames(volume: VolumePlan) -> list[FramePlan]:
+    """The frames that ``optics.frames`` names; none where it names none of this Volume's."""
+    ranges = parse_frames(volume.config.optics.frames)
+    codes, _ = select_frames(ranges, (frame.source.time_code for frame in volume.frames))
+    return [frame for frame in volume.frames if frame.source.time_code in codes]

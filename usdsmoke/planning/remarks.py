@@ -88,8 +88,9 @@ def _unmoved(volume: VolumePlan) -> list[str]:
         return []
     followed = followed_codes(volume.windows, volume.coarse_runs)
     frames = [frame for frame in volume.frames if frame.source.time_code in followed]
-    still = [frame for frame in frames if frame.velocity is None and not frame.is_empty]
-    if not still or len(still) == len(frames):
+    filled = [frame for frame in frames if not frame.is_empty]
+    still = [frame for frame in filled if frame.velocity is None]
+    if not still or len(still) == len(filled):
         return []
     codes = name_time_codes(frame.source.time_code for frame in still)
     return [
@@ -133,7 +134,13 @@ def _measured_elsewhere(volume: VolumePlan) -> list[str]:
     named, _ = select_frames(ranges, volume.source.time_codes)
     absent = sorted(set(named) - {frame.source.time_code for frame in here})
     if not absent:
-        return []
+        empty = [frame for frame in here if frame.source.time_code in named]
+        if any(not frame.is_empty for frame in empty):
+            return []
+        return [
+            f"optics.frames names empty frames of <{volume.source.prim_path}>: extinction and "
+            "picture size are measured on the others. Name frames with smoke"
+        ]
     return [
         f"optics.frames names {name_time_codes(absent)} of <{volume.source.prim_path}>, which "
         "this run does not stylize: extinction and picture size are measured on selected frames "

@@ -16,9 +16,8 @@ from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
-from usdsmoke.base.time_codes import parse_frames, select_frames
 from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask, named_frames
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, network_file_name
 from usdsmoke.runs.opened import OpenRun, has_coarse_step, missing_starts
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
@@ -66,13 +65,6 @@ def measured_frames(volume: VolumePlan) -> list[FramePlan]:
     none of this Volume's."""
     named = dataclasses.replace(volume, frames=tuple(named_frames(volume)))
     return sample_frames(named) or sample_frames(volume)
-
-
-def named_frames(volume: VolumePlan) -> list[FramePlan]:
-    """The frames that ``optics.frames`` names; none where it names none of this Volume's."""
-    ranges = parse_frames(volume.config.optics.frames)
-    codes, _ = select_frames(ranges, (frame.source.time_code for frame in volume.frames))
-    return [frame for frame in volume.frames if frame.source.time_code in codes]
 
 
 def read_scene(run: Run, volume_number: int) -> "Scene":

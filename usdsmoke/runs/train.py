@@ -20,8 +20,8 @@ from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.core.generator.definition import N_ITERATIONS
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
-from usdsmoke.planning.plan import FramePlan, VolumePlan
-from usdsmoke.runs.coarse import measure_scenes, measured_frames, named_frames
+from usdsmoke.planning.plan import FramePlan, VolumePlan, named_frames
+from usdsmoke.runs.coarse import measure_scenes, measured_frames
 from usdsmoke.runs.manifests import network_file_name
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback, ignore_progress

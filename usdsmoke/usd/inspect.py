@@ -119,8 +119,8 @@ def _beside_notes(source: StageSource, headers: dict[str, FileHeader | str]) -> 
         header = _header_of(volume.frames[0].fields[volume.density].file_path, headers)
         if names := [] if isinstance(header, str) else grids_beside(volume, header):
             notes.append(
-                f"no relationship of <{volume.prim_path}> leads to {', '.join(names)} "
-                "in its density's file: not in the result unless layer.copy_fields names it."
+                f"the density's file of <{volume.prim_path}> also holds {', '.join(names)}: not in "
+                "the result unless layer.copy_fields names it."
             )
     return notes
 

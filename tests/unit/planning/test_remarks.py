@@ -66,6 +66,14 @@ def test_frames_that_are_to_be_measured_but_not_stylized_are_named(shot: Shot) -
     assert plan_of(shot, measured).notes == ()
 
 
+def test_empty_frames_that_are_to_be_measured_are_named_and_need_no_velocity(shot: Shot) -> None:
+    write_vdb(shot.stage.parent / "cache/smoke.0001.vdb", value=0.0)
+    assert plan_of(shot).notes == ()
+    (note,) = plan_of(shot, "optics.frames=1").notes
+    assert "optics.frames names empty frames" in note
+    assert plan_of(shot, "optics.frames=1-2").notes == ()
+
+
 def test_a_frame_without_a_velocity_among_others_is_named(tmp_path: Path) -> None:
     shot = make_shot(tmp_path, n_frames=4, names=("density", "vel"))
     assert plan_of(shot).notes == ()

@@ -327,6 +327,25 @@ def test_a_frame_that_chose_the_extinction_itself_is_given_another_depth(
     assert budget_of(tmp_path / "set", [set_by_hand], settings=settings).findings == ()
 
 
+def test_a_frame_beside_the_measured_ones_has_the_choice_of_frames_to_blame(
+    tmp_path: Path,
+) -> None:
+    reports = [GOOD, replace(GOOD, depth=3e4)]
+    (finding,) = budget_of(tmp_path, reports, settings=["optics.frames=1"]).findings
+    assert finding.setting == "optics.frames" and "Unset optics.frames" in finding.remedy
+
+
+def test_a_pattern_that_runs_away_from_its_smoke_is_not_given_more_iterations(
+    tmp_path: Path,
+) -> None:
+    colour = StepReport(loss=(9.0, 1.0), remaining=0.4)
+    poor = replace(GOOD, look=LookReport(0.0, 0.1, shown=0.9), colour=colour)
+    for speed, setting in ((-8, "windows.pattern_speed"), (0, "colour.iterations")):
+        settings, folder = [f"windows.pattern_speed={speed}"], tmp_path / f"{speed}"
+        found = {f.setting for f in budget_of(folder, [poor], settings=settings).findings}
+        assert found == {setting}
+
+
 @pytest.mark.parametrize(("depth", "wanted"), [(30.0, "grids.refine"), (600.0, "optics.gamma")])
 def test_pictures_of_smoke_that_is_too_opaque_are_not_mended_by_finer_voxels(
     depth: float, wanted: str

@@ -70,7 +70,8 @@ def judge_passage(
         time_codes_per_second: what a velocity per frame is slower than one per second by.
         unit: ``stage.velocity_unit``, that the velocity was read in.
     """
-    before, smoke = coarsen(bounded(before)), coarsen(bounded(smoke))
+    fine = bounded(before), bounded(smoke)
+    before, smoke = map(coarsen, fine)
     try:
         given = _difference(before, smoke, transit)
     except PlanError as error:
@@ -81,7 +82,8 @@ def judge_passage(
         return Passage(given, "", remark=remark)
     if given < LEAST or transit.mover.velocity is None or transit.seconds == 0:
         return Passage(given, "")
-    return Passage(given, _doubt(*_evened(before, smoke), transit, time_codes_per_second, unit))
+    doubt = _doubt(*_evened(before, smoke), transit, time_codes_per_second, unit)
+    return Passage(given, doubt or _doubt_nothing_moves(*_evened(*fine), transit))
 
 
 def _evened(before: ActiveSmoke, smoke: ActiveSmoke) -> tuple[ActiveSmoke, ActiveSmoke]:
@@ -119,7 +121,7 @@ def _doubt(
     best = min(found, key=lambda name: found[name])
     least = min(rest, found[best])
     if not any(given > max(ratio * least, least + more) for ratio, more in TELLING):
-        return "" if given < BARELY * rest else _doubt_nothing_moves(before, smoke, transit)
+        return ""
     if found[best] > CLEARLY * rest:
         cure = "without any. Check its unit and direction, or set stage.motion=estimate"
     elif best == "against":
@@ -179,15 +181,16 @@ def _doubt_nothing_moves(before: ActiveSmoke, smoke: ActiveSmoke, transit: Trans
     """
     times = float(smoke.density.double().sum() / before.density.double().sum())
     before = replace(before, density=before.density * times)
-    rest = _difference(before, smoke, replace(transit, seconds=0.0))
-    if rest < ESTIMATED_MORE:
+    coarse = coarsen(before), coarsen(smoke)
+    rest = _difference(*coarse, replace(transit, seconds=0.0))
+    if rest < ESTIMATED_MORE or _difference(*coarse, transit) < BARELY * rest:
         return ""
     # Both at rest in the earlier frame's Volume, which carries them further.
     undone = np.eye(4) if transit.ride is None else np.linalg.inv(transit.ride)
     earlier, later = _as_frame(before, np.eye(4)), _as_frame(smoke, undone)
     found = estimate_velocity(later, earlier, -transit.seconds)
     mover = replace(transit.mover, velocity=found, velocity_to_stage=np.eye(4))
-    moved = _difference(before, smoke, replace(transit, mover=mover))
+    moved = _difference(*coarse, replace(transit, mover=mover))
     if rest < max(ESTIMATED_TIMES * moved, moved + ESTIMATED_MORE):
         return ""
     return (

@@ -7,7 +7,7 @@ from typing import Any
 from usdsmoke.base.frame_report import FrameReport, StepReport
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.schedule import octave_iterations
-from usdsmoke.planning.plan import VolumePlan
+from usdsmoke.planning.plan import VolumePlan, named_frames
 from usdsmoke.runs.budget.finding import Finding
 from usdsmoke.runs.budget.light_findings import (
     DEEPEST,
@@ -19,6 +19,7 @@ from usdsmoke.runs.budget.light_findings import (
 from usdsmoke.runs.budget.look_findings import (
     colour_remedy,
     find_look,
+    has_far_speed,
     has_high_rate,
     is_nearly_black,
     length_of,
@@ -66,9 +67,10 @@ def find_volume(volume: PlannedVolume) -> Iterator[Finding]:
         for frame, report in zip(volume.plan.frames, volume.reports, strict=True)
         if report is not None
     }
-    alone = len(volume.plan.frames) == 1
+    measured = names_measured(volume.plan)
     for name in reports:
-        yield from find_written(name, reports, before.get(name), volume.plan.config, alone)
+        before_it, is_measured = before.get(name), name in measured
+        yield from find_written(name, reports, before_it, volume.plan.config, is_measured)
 
 
 def _find_idle(volume: PlannedVolume) -> Iterator[Finding]:
@@ -92,12 +94,20 @@ def frames_before(plan: VolumePlan) -> dict[str, str]:
     return {after.file_name: frame.file_name for frame, after in neighbours(plan)}
 
 
+def names_measured(plan: VolumePlan) -> set[str]:
+    """File names of the frames that are known to choose the extinction."""
+    named = [plan.frames[0]] if len(plan.frames) == 1 else []
+    if plan.config.optics.frames:
+        named += named_frames(plan)
+    return {frame.file_name for frame in named}
+
+
 def find_written(
     name: str,
     reports: Mapping[str, FrameReport],
     before: str | None,
     config: Config,
-    is_alone: bool = False,
+    is_measured: bool = False,
 ) -> Iterator[Finding]:
     """What a frame tells by itself, and beside the frame before.
 
@@ -106,13 +116,13 @@ def find_written(
         reports: by file name, its own and that of the frame before, if there is one already.
         before: file name of the frame before; None for none.
         config: of the Volume.
-        is_alone: there is no other frame.
+        is_measured: it is known to be one of those that choose the extinction.
     """
     report, optics = reports[name], config.optics
     if report.left_out:
         return
     yield from find_frame(name, report, config)
-    yield from find_depth(name, report, optics, is_alone or bool(optics.frames))
+    yield from find_depth(name, report, optics, is_measured)
     earlier = reports.get(before) if before else None
     if before and earlier is not None and not earlier.left_out:
         yield from _find_pair((before, earlier), (name, report), config)
@@ -174,6 +184,8 @@ def _advice(row: ErrorRow, config: Config, report: FrameReport) -> tuple[str, st
     if row is COLOUR_OPTIMISER and has_high_rate(config):
         return "Use the default of colour.learning_rate", "colour.learning_rate"
     if row in (SHAPE_OPTIMISER, COLOUR_OPTIMISER):
+        if has_far_speed(config):
+            return "Use the default of windows.pattern_speed", "windows.pattern_speed"
         setting = length_of("shape" if row is SHAPE_OPTIMISER else "colour", config)
         return f"Set more {setting}", setting
     return _sentence(row.advice), row.setting

@@ -162,6 +162,8 @@ def find_depth(
     else:
         amount = "dense" if is_deep else "thin"
         remedy, setting = f"Set optics.frames to frames as {amount} as this one", "optics.frames"
+        if optics.frames:
+            remedy = f"Unset optics.frames, or name frames as {amount} as this one"
         if asked == "depth":
             remedy += ", or give frames their own gamma"
     yield Finding(

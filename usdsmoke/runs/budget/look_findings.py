@@ -13,6 +13,7 @@ FLAT = 0.2  # of the style's contrast: they have 0.4 to 0.8
 FINE = 0.5  # of the style's contrast at the size of pictures: less is lost whatever is done
 BLACK = 0.01  # of white's light
 NEAR_END = 0.1  # of the loss, that four times as many iterations take off
+FAR_SPEED = 1.0  # of the smoke's velocity: a pattern that is so much slower or faster
 LIT = 0.1  # of the pictures' light, given by lamps: as much changes their colours
 
 
@@ -67,6 +68,8 @@ def colour_remedy(config: Config, report: FrameReport) -> tuple[str, str]:
         remedy += ", or check the values of the mask"
     if has_high_rate(config):
         setting, remedy = "colour.learning_rate", "use the default of colour.learning_rate"
+    if has_far_speed(config):
+        setting, remedy = "windows.pattern_speed", "use the default of windows.pattern_speed"
     light = report.light
     if light is not None and light.share > LIT and config.colour.target == "emission":
         setting = "optics.albedo"
@@ -92,6 +95,11 @@ def is_nearly_black(report: FrameReport) -> bool:
 def length_of(step: str, config: Config) -> str:
     """The setting that makes a step longer."""
     return f"{step if config.optimize.iterations is None else 'optimize'}.iterations"
+
+
+def has_far_speed(config: Config) -> bool:
+    """Whether frames start from smoke that is far from where theirs was."""
+    return abs(config.windows.pattern_speed - 1) > FAR_SPEED
 
 
 def has_high_rate(config: Config) -> bool:

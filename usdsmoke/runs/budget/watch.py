@@ -6,7 +6,7 @@ from typing import Any
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.runs.budget.finding import Finding
-from usdsmoke.runs.budget.findings import find_written, frames_before
+from usdsmoke.runs.budget.findings import find_written, frames_before, names_measured
 from usdsmoke.runs.budget.light_findings import find_scene
 from usdsmoke.runs.budget.planned import PlannedVolume
 
@@ -23,7 +23,7 @@ class WindowFindings:
             reports: of the frames that are finished already, by file name.
         """
         self._volume = PlannedVolume(volume, (), scene)
-        self._before = frames_before(volume)
+        self._before, self._measured = frames_before(volume), names_measured(volume)
         self._reports = dict(reports)
 
     def of_scene(self) -> Iterator[Finding]:
@@ -37,5 +37,5 @@ class WindowFindings:
             name: of the frame's file.
         """
         self._reports[name] = report
-        plan, before = self._volume.plan, self._before.get(name)
-        return find_written(name, self._reports, before, plan.config, len(plan.frames) == 1)
+        before, config = self._before.get(name), self._volume.plan.config
+        return find_written(name, self._reports, before, config, name in self._measured)
