@@ -103,7 +103,7 @@ VOLUME = _group(
     ("remains far away, up to 5 % of the smoke", "finite: opacity and motion are those of the "
      "smoke alone; a finding names coarser pictures",
      (OUTLIERS + "test_remains_far_away_change_neither_extinction_nor_reach",
-      "tests/unit/runs/test_findings.py::"
+      "tests/unit/runs/test_light_findings.py::"
       "test_voxels_far_away_that_make_pictures_coarse_are_named")),
     ("a floor of thin density in all of the box", "finite: gamma and motion are those of the smoke "
      "above it",
