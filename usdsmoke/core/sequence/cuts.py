@@ -188,9 +188,12 @@ def _doubt_nothing_moves(before: ActiveSmoke, smoke: ActiveSmoke, transit: Trans
     # Both at rest in the earlier frame's Volume, which carries them further.
     undone = np.eye(4) if transit.ride is None else np.linalg.inv(transit.ride)
     earlier, later = _as_frame(before, np.eye(4)), _as_frame(smoke, undone)
-    found = estimate_velocity(later, earlier, -transit.seconds)
-    mover = replace(transit.mover, velocity=found, velocity_to_stage=np.eye(4))
-    moved = _difference(*coarse, replace(transit, mover=mover))
+    try:
+        found = estimate_velocity(later, earlier, -transit.seconds)
+        mover = replace(transit.mover, velocity=found, velocity_to_stage=np.eye(4))
+        moved = _difference(*coarse, replace(transit, mover=mover))
+    except PlanError:  # the estimate ran away
+        return ""
     if rest < max(ESTIMATED_TIMES * moved, moved + ESTIMATED_MORE):
         return ""
     return (
@@ -205,7 +208,8 @@ def _as_frame(smoke: ActiveSmoke, to_stage: np.ndarray) -> VolumeFrame:
     while np.prod(np.subtract(*smoke.box[::-1]) + 1.0) > MOST_ESTIMATED:
         smoke = coarsen(smoke)
     low, high = smoke.box
-    dense = densify(smoke.ijk, smoke.density[:, None], torch.as_tensor(low), high - low + 1)
+    start = torch.as_tensor(low, device=smoke.ijk.device)
+    dense = densify(smoke.ijk, smoke.density[:, None], start, high - low + 1)
     first = (int(low[0]), int(low[1]), int(low[2]))
     values = dense[..., 0].cpu().numpy()
     return VolumeFrame(0.0, DenseField("density", values, first, smoke.index_to_stage), to_stage)
