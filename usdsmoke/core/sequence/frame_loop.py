@@ -271,9 +271,10 @@ def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[
         share = 0.0
     seed = context.config.optimize.seed
     moves, colours = Steadiness(seed, is_vector=True), Steadiness(seed)
-    for frame, later in _with_next(frames):
+    for frame, following in _with_next(frames):
         started, paint = time.perf_counter(), frame.paint
-        if later is not None and later.is_cold:
+        later = following
+        if later is not None and (later.left_out or later.is_cold):
             later = None
         if later is not None and paint is not None and later.paint is not None and share:
             averaged = average_colours(*paint, later.paint, context.transit(frame, later), share)
@@ -281,7 +282,7 @@ def _finish(frames: Iterator[PaintedFrame], context: WindowContext) -> Iterator[
         report, known = frame.report, context.known_of(frame)
         if known is not None and known.clouds:  # they were compared before the cut
             moves.clouds, colours.clouds = known.clouds
-        elif not frame.left_out:
+        elif not frame.left_out and (before is not None or following is not None):
             temporal = _temporal_errors(moves, colours, before, frame, context)
             if before is not None:
                 report = replace(report, temporal=temporal)
@@ -366,7 +367,7 @@ def _connected(
 
 
 def _with_next(frames: Iterator[Phase]) -> Iterator[tuple[Phase, Phase | None]]:
-    """Every frame with the next one, or None if that is left out or there is none.
+    """Every frame with the next one, or None behind the last.
 
     A frame that was yielded is not kept: only its consumer decides how long it is in memory.
     """
@@ -375,7 +376,7 @@ def _with_next(frames: Iterator[Phase]) -> Iterator[tuple[Phase, Phase | None]]:
         waiting.append(frame)
         del frame
         if len(waiting) == 2:
-            yield waiting.popleft(), None if waiting[0].left_out else waiting[0]
+            yield waiting.popleft(), waiting[0]
     if waiting:
         yield waiting.popleft(), None
 
