@@ -244,6 +244,13 @@ TRANSFORMS = _group(
      (EXTREMES + "test_stages_in_microns_and_in_megametres",)),
     ("smoke 10⁶ units from the origin", "finite: the same smoke",
      (EXTREMES + "test_smoke_a_million_units_from_the_origin",)),
+    ("smoke 10¹³ voxels from the origin", "finite: a remark tells what places are rounded to",
+     ("tests/unit/planning/test_remarks.py::test_a_place_that_doubles_cannot_hold_is_told",)),
+    ("a perspective in a prim's transform", "named error StageError: with the timeCodes",
+     ("tests/unit/usd/test_stage_refusals.py::test_a_perspective_is_refused_and_a_shear_is_not",)),
+    ("several grids of one name in a file", "finite: the first is read, and a remark says so",
+     ("tests/unit/planning/test_remarks.py::"
+      "test_a_choice_among_grids_of_one_name_is_told_until_the_stage_makes_it",)),
     ("a transform that changes from frame to frame",
      "finite: smoke that stands still in space keeps its colours",
      (EXTREMES + "test_a_grid_that_changes_place_and_voxel_size_from_frame_to_frame",)),

@@ -115,6 +115,15 @@ def _lengths(corners: np.ndarray, box: tuple[int, int, int]) -> tuple[float, flo
     return voxel, float(sides.max())
 
 
+def rounding(density: FieldSource, grid: GridHeader) -> float:
+    """What a coordinate in stage space is rounded to, as a share of a voxel's shortest edge."""
+    points = _box_points(density, grid)
+    if points is None:
+        return 0.0
+    edges = np.linalg.norm((grid.index_to_world @ density.field_to_stage)[:3, :3], axis=1)
+    return float(np.spacing(np.abs(points[0]).max()) / edges.min())
+
+
 def _box_points(density: FieldSource, grid: GridHeader) -> tuple[np.ndarray, np.ndarray] | None:
     """The eight corners of the active box, and points spread in it, stage space; None if unknown.
 

@@ -102,6 +102,31 @@ def test_a_missing_file_of_a_sequence_is_named(
     assert hole not in note
 
 
+def test_a_choice_among_grids_of_one_name_is_told_until_the_stage_makes_it(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    here, there = (raw_grid(np.ones((4, 4, 4)), ijk=(i, 0, 0)) for i in (0, 50))
+    write_raw(shot.stage.parent / "cache/smoke.0001.vdb", here, there)
+    (note,) = plan_of(shot).notes
+    assert '"density"' in note and "fieldIndex" in note
+    prim = density_prim(sequence([1]), extra="int fieldIndex = 0")
+    write_text(shot.stage, world(volume_prim(prim)))
+    assert plan_of(shot).notes == ()
+
+
+@pytest.mark.parametrize(("away", "is_told"), [(1e6, False), (1e9, False), (1e13, True)])
+def test_a_place_that_doubles_cannot_hold_is_told(
+    tmp_path: Path, away: float, is_told: bool
+) -> None:
+    """A voxel has an edge of 1; doubles have 53 bits."""
+    shot = make_shot(tmp_path, n_frames=1)
+    matrix = np.eye(4)
+    matrix[3, 0] = away
+    grid = raw_grid(np.ones((4, 4, 4)), matrix=matrix)
+    write_raw(shot.stage.parent / "cache/smoke.0001.vdb", grid)
+    notes = plan_of(shot).notes
+    assert ["far from the origin" in note for note in notes] == [True] * is_told
+
+
 def test_a_velocity_without_a_relationship_is_not_copied_and_the_plan_says_so(
     tmp_path: Path,
 ) -> None:

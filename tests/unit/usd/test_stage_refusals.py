@@ -363,6 +363,21 @@ def test_a_place_without_size_is_refused_at_its_time_code_and_found_by_validate(
     assert [item.time_code for item in found] == ([] if "0" in scale else [2.0])
 
 
+def test_a_perspective_is_refused_and_a_shear_is_not(tmp_path):
+    write_sequence(tmp_path, (1, 2))
+    matrix = "( (1, 8, 0, {}), (0, 1, 0, 0), (0, 0, 1, 0), (3, 0, 0, {}) )"
+
+    def body(*last: float) -> str:
+        place = f"matrix4d xformOp:transform = {matrix.format(*last)}"
+        order = '\nuniform token[] xformOpOrder = ["xformOp:transform"]\n'
+        return volume_prim(place + order + density_prim(sequence((1, 2))))
+
+    refuse(tmp_path, body(0.5, 1), StageError, "</World/smoke/density> at timeCode 1.*perspective")
+    refuse(tmp_path, body(0, 2), StageError, "</World/smoke/density> at timeCode 1.*perspective")
+    write_text(tmp_path / "shot.usda", world(body(0, 1)))
+    assert find_volumes(open_stage(tmp_path / "shot.usda"), StageConfig()).volumes
+
+
 @pytest.mark.parametrize(
     ("right", "wrong"),
     [

@@ -265,24 +265,32 @@ def check_assets(prim: Usd.Prim, sources: Sequence[FieldSource]) -> None:
 
 
 def check_places(sources: Sequence[FieldSource]) -> None:
-    """Refuse a field prim whose transform leaves no smoke to be seen.
+    """Refuse a field prim whose transform leaves no smoke to be seen, or shows it in perspective.
 
     Raises:
-        StageError: it has a scale of 0, NaN or infinity; with every timeCode concerned.
+        StageError: it has a scale of 0, NaN or infinity, or is not affine; with every timeCode
+            concerned.
     """
-    lost = [source for source in sources if not _has_size(source.field_to_stage)]
-    if not lost:
-        return
-    raise StageError(
-        f"the transform of <{lost[0].prim_path}> at timeCode "
-        f"{format_time_code(lost[0].time_code)} has a scale of 0, NaN or infinity"
-        f"{_also(source.time_code for source in lost[1:])}. Correct the xformOps of the prim or of "
-        "those above it, or leave such timeCodes out with --frames."
-    )
+    for is_sound, problem in (
+        (_has_size, "has a scale of 0, NaN or infinity"),
+        (_is_affine, "is a perspective: its last column is not 0, 0, 0, 1"),
+    ):
+        lost = [source for source in sources if not is_sound(source.field_to_stage)]
+        if lost:
+            raise StageError(
+                f"the transform of <{lost[0].prim_path}> at timeCode "
+                f"{format_time_code(lost[0].time_code)} {problem}"
+                f"{_also(source.time_code for source in lost[1:])}. Correct the xformOps of the "
+                "prim or of those above it, or leave such timeCodes out with --frames."
+            )
 
 
 def _has_size(matrix: np.ndarray) -> bool:
     return bool(np.isfinite(matrix).all() and abs(np.linalg.det(matrix[:3, :3])) > 0)
+
+
+def _is_affine(matrix: np.ndarray) -> bool:
+    return bool(np.allclose(matrix[:, 3], (0.0, 0.0, 0.0, 1.0), rtol=0.0, atol=1e-9))
 
 
 def _authoring_layer(prim: Usd.Prim, time_code: float) -> str:
