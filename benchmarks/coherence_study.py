@@ -27,6 +27,7 @@ from benchmarks.coherence_runs import (
 
 __all__ = [
     "ALONE",
+    "LONGER",
     "PLAN",
     "QUICK",
     "WAYS",
@@ -40,11 +41,16 @@ __all__ = [
     "same_smoke",
 ]
 
-ALONE, WINDOWS = "alone", "windows"
+ALONE, LONGER, WINDOWS = "alone", "alone for longer", "windows"
 # What the ways to stylize a sequence change from the defaults. One way has a setting of each step:
 # displacements do not depend on those of colour.
 WAYS: Mapping[str, Sequence[str]] = {
     ALONE: ("windows.size=1",),
+    LONGER: (  # twice the default iterations
+        "windows.size=1",
+        "shape.iterations=[80,40,60]",
+        "colour.iterations=[160,160,160]",
+    ),
     WINDOWS: (),
     "one window": (),
     "crisper": ("windows.steadiness=0.08", "colour.warm_rate=0.7"),
@@ -98,7 +104,7 @@ class Kept:
 class Study:
     """The runs of one command."""
 
-    shots: tuple[tuple[Case, Case], ...]  # alone, and in windows as configured
+    shots: tuple[tuple[Case, ...], ...]  # alone, in windows as configured, alone for longer
     curve: tuple[Case, ...]  # other settings, on fewer frames and in one window
     n_frames: int
     settings: tuple[str, ...] = ()  # of all runs
@@ -110,12 +116,11 @@ class Study:
         return (*(case for shot in self.shots for case in shot), *self.curve)
 
 
-def _shot(
-    resolution: int, style: str, seed: int, n_frames: int, alone: Sequence[int]
-) -> tuple[Case, Case]:
+def _shot(resolution: int, style: str, seed: int, alone: Sequence[int]) -> tuple[Case, ...]:
     return (
         Case(resolution, style, seed, ALONE, tuple(alone)),
-        Case(resolution, style, seed, WINDOWS, tuple(range(1, n_frames + 1))),
+        Case(resolution, style, seed, WINDOWS, tuple(range(1, 25))),
+        Case(resolution, style, seed, LONGER, FEW),
     )
 
 
@@ -129,8 +134,11 @@ FEW = (6, 7, 10, 11)  # frames alone: two steps of one and two of four
 MORE = (*range(5, 13), 18, 19)  # a piece to be animated, and steps of eight
 PLAN = Study(
     shots=(
-        _shot(64, "strokes", 0, 24, MORE),
-        _shot(96, "strokes", 0, 13, FEW),
+        _shot(64, "strokes", 0, MORE),
+        _shot(64, "strokes", 1, FEW),
+        _shot(64, "petals", 0, FEW),
+        _shot(64, "waves", 0, FEW),
+        _shot(96, "strokes", 0, FEW),
     ),
     curve=(
         *_curve(40, "strokes", 0, ("one window", "crisper", "steadier", "much steadier")),
@@ -171,7 +179,7 @@ def keep_runs(study: Study, folder: Path, most: int | None = None) -> dict[Case,
     found, left = {}, most
     for case in study.cases:
         settings = [*study.settings, f"optimize.seed={case.seed}", *WAYS[case.way]]
-        if case.way not in (ALONE, WINDOWS):
+        if case.way not in (ALONE, LONGER, WINDOWS):
             settings += [f"windows.size={len(case.codes)}"]
         kept = _read(folder, case, settings)
         if kept is None:
@@ -202,7 +210,7 @@ _simulate = cache(simulate_plume)
 def _measure(case: Case, settings: Sequence[str], study: Study, folder: Path) -> Kept:
     whole = make_case_shot(case, study, settings)
     shot = some_frames(whole, case.codes)
-    run = run_alone(shot) if case.way == ALONE else run_windows(shot)
+    run = run_alone(shot) if case.way in (ALONE, LONGER) else run_windows(shot)
     distances = style_distances(shot, run)
     errors = temporal_errors(whole.frames, run, shot.scene.gamma_w)
     kept = Kept(
