@@ -3,11 +3,11 @@
     python -m benchmarks.coherence [--keep FOLDER] [--runs N] [--quick]
 
 Stylizes the example plume with each frame alone, in windows as they are configured, with each frame
-alone for twice the iterations, and with other settings of steadiness and of warm starts (``coherence_study.WAYS``): style distance against
-temporal error. What a run has shown is kept in --keep, so that a command that was stopped goes on.
-Writes the tables to --report, and to --pictures a plot of the temporal errors, a strip of frames
-across a window border, and an animation of frames alone, in windows and of the source. Needs no
-data but the repository.
+alone for twice the iterations, and with other settings of steadiness and of warm starts
+(``coherence_study.WAYS``): style distance against temporal error. What a run has shown is kept in
+--keep, so that a command that was stopped goes on. Writes the tables to --report, and to --pictures
+a plot of the temporal errors, a strip of frames across a window border, and an animation of frames
+alone, in windows and of the source. Needs no data but the repository.
 """
 
 import argparse
@@ -55,11 +55,11 @@ def render_report(runs: Runs, study: Study, words: Sequence[str]) -> str:
     lines = [
         "# Frames that hold together",
         "",
-        "The example plume in windows as configured. *Alone*: each frame a window of its own; *alone",
-        "for longer*: with twice the iterations, as frames alone are not at their end by default.",
-        "Temporal errors are the share of the pattern that does not move with the smoke, in excess",
-        "of an exact look-up; 1 is one drawn anew. *Border*: the steps that blending has a hand",
-        "in; *inside*: the others. Style distances are the optimiser's own loss of finished",
+        "The example plume in windows as configured. *Alone*: each frame a window of its own;",
+        "*alone for longer*: with twice the iterations, as frames alone are not at their end by",
+        "default. Temporal errors are the share of the pattern that does not move with the smoke,",
+        "in excess of an exact look-up; 1 is one drawn anew. *Border*: the steps that blending has",
+        "a hand in; *inside*: the others. Style distances are the optimiser's own loss of finished",
         "pictures, from views that it never had, means of the frames that both have. All is",
         "measured after blending. CPU seconds are without estimates of errors.",
     ]
