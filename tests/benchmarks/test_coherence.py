@@ -8,9 +8,12 @@ import torch
 
 from benchmarks import coherence_study
 from benchmarks.coherence_measures import border_ratio, painted_colours, temporal_errors
-from benchmarks.coherence_runs import Outcome, Run, _joined
+from benchmarks.coherence_runs import Outcome, Run, Shot, _joined, run_windows
 from benchmarks.coherence_study import WINDOWS, Case, Kept, Study, keep_runs
 from benchmarks.long_shot import fit_line
+from tests.fixtures.smoke_fixtures import random_style
+from tests.fixtures.stylize_fixtures import quick_config, scene_of
+from tests.unit.core.test_fast_smoke import plume
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
@@ -124,3 +127,20 @@ def test_frames_of_an_overlap_are_blended_like_the_assemblys() -> None:
     masses = [float(item.density.values.mean()) for item in run.outcomes]
     np.testing.assert_allclose(masses, [1, 1, 1 + later[0], 1 + later[1], 2], rtol=1e-6)
     np.testing.assert_allclose(run.differences, [(2 / 3, run.differences[0][1])] * 2, rtol=1e-6)
+
+
+def test_nothing_of_the_smoke_before_a_jump_is_left_in_an_overlap() -> None:
+    """Windows that meet at the jump: the coarse step and both versions start anew behind it."""
+    steps = {"shape": {"iterations": [2, 3]}, "colour": {"iterations": [2, 3]}}
+    config = quick_config(**steps, windows={"size": 2, "overlap": 2})
+    shots = [
+        [plume(seed, n) for n in (1, 2, 3)] + [plume(7, n) for n in (4, 5, 6)] for seed in (1, 4)
+    ]
+    scene = scene_of(shots[0], config)
+    runs = [run_windows(Shot(frames, random_style(), config, scene)) for frames in shots]
+    assert runs[0].starts == (2, 4)
+    for number, (one, other) in enumerate(zip(*(run.outcomes for run in runs), strict=True)):
+        for name in ("density", "emission"):
+            values = [getattr(item, name).values for item in (one, other)]
+            is_same = values[0].shape == values[1].shape and np.array_equal(*values)
+            assert is_same == (number >= 3), (number, name)

@@ -77,7 +77,7 @@ class WindowsConfig(Section):
     steadiness: float = setting(
         0.25, "weight of the difference in pixels between a frame's displacement and the one that "
         "it starts from: its neighbour's, carried along, or the coarse step's; higher is steadier, "
-        "and farther from the style", ge=0)
+        "and farther from the style; colours have colour.warm_rate instead", ge=0)
     shared_octaves: int = setting(
         2, "number of coarsest octaves that are computed once for the whole shot", ge=0)
     pattern_speed: float = setting(

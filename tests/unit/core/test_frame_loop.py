@@ -110,6 +110,25 @@ def test_the_pattern_rides_on_a_volume_that_moves():
         assert np.max(apart) < 0.05 * np.max([np.max(value) for value in first.values()])
 
 
+def test_the_pattern_rides_on_smoke_that_flows_in_a_volume_that_moves():
+    """Two voxels a frame through a grid that is moved and turned meanwhile."""
+    shot = []
+    for number in range(3):
+        place, flow = riding(number).density_to_stage, np.array([48.0, 0.0, 0.0])
+        frame = frame_of(puff(12), float(number), flow, ijk_min=(2 * number, 0, 0))
+        shot.append(replace(frame, density_to_stage=place, velocity_to_stage=place))
+    for errors in errors_of(shot, **STILL):
+        assert errors["colour"] < 1e-2 and errors["displacement"] < 1e-2
+    first, *others = run_core(shot, quick_config(**STILL))
+    start = by_voxel(first.emission)
+    for number, other in enumerate(others, start=1):
+        moved = {(i - 2 * number, j, k): v for (i, j, k), v in by_voxel(other.emission).items()}
+        both = start.keys() & moved.keys()
+        apart = [np.abs(np.subtract(start[voxel], moved[voxel])).max() for voxel in both]
+        assert len(both) > 0.9 * len(start)
+        assert np.max(apart) < 0.05 * np.max([np.max(value) for value in start.values()])
+
+
 def test_the_pattern_stands_still_at_pattern_speed_zero_and_the_error_says_so():
     config = quick_config(**STILL, windows={"pattern_speed": 0.0})
     first, second = run_core(FRAMES[:2], config)[:2]
