@@ -98,9 +98,16 @@ def _run_be60f8a(job: dict[str, Any]) -> dict[str, Any]:
 def _found(
     job: dict[str, Any], done: Any, result: Any, scene: Any, painted: Any, seen_from: Any
 ) -> dict[str, Any]:
-    """Fields, displacement and the version's own pictures; the first one at half the size too."""
-    lattice = done.displacement.lattice
-    u = lattice.from_stage(done.displacement.values).numpy() / np.asarray(lattice.spacing)
+    """Fields, displacement and the version's own pictures; the first one at half the size too.
+
+    Without a shape step the displacement is 0.
+    """
+    low, source = result.density.ijk_min, result.density.values
+    u = np.zeros((*source.shape, 3), np.float32)
+    if done.displacement is not None:
+        lattice = done.displacement.lattice
+        u = lattice.from_stage(done.displacement.values).numpy() / np.asarray(lattice.spacing)
+        low, source = lattice.low, lattice.fill(done.source).numpy()
     views = [seen_from(angles) for angles in job["views"]]
     half = replace(
         views[0],
@@ -114,8 +121,8 @@ def _found(
         "index_to_world": np.asarray(result.density.index_to_world),
         "gamma_w": scene.gamma_w,
         "u": u,
-        "low": tuple(map(int, lattice.low)),
-        "source": lattice.fill(done.source).numpy(),
+        "low": tuple(map(int, low)),
+        "source": source,
         "views": [{name: getattr(view, name) for name in VIEW} for view in views],
         "pictures": [painted.picture(view, scene.gamma_w).numpy() for view in views],
         "half": painted.halved().picture(half, scene.gamma_w).numpy(),

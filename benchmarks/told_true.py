@@ -99,11 +99,12 @@ def measure_scene_rows(
     known = {row: figure.value for row, figure in told.items() if figure is not None}
     assert done.emission is not None
     yield from _pictures(name, frame, done.density, done.emission, known)
-    yield _transport(name, scene, frame, done.density, known["transport"])
-    yield from _unevenness(name, frame, known)
+    if frame.displacement is not None:
+        yield _transport(name, scene, frame, done.density, known["transport"])
+        yield from _unevenness(name, frame, known)
     yield from _views(name, frame, known)
     yield from _temporal(name, scene, context)
-    for step in ("shape", "colour"):
+    for step in config.optimize.steps:
         longer = measure_step(scene.frame, style, config, step, "default")
         yield Row(name, f"optimiser, {step}", longer.told, longer.true)
 
@@ -195,11 +196,11 @@ def _temporal(name: str, scene: Scene, context: WindowContext) -> Iterator[Row]:
     told = second.report.temporal
     assert told is not None and first.paint is not None and second.paint is not None
     coloured = [(smoke, colours.numpy()) for smoke, colours in (first.paint, second.paint)]
-    moved = [(frame.source, _moves(frame)) for frame in (first, second)]
-    for kind, (before, after), error in (
-        ("displacement", moved, told.displacement),
-        ("colour", coloured, told.colour),
-    ):
+    patterns = {"colour": (coloured, told.colour)}
+    if first.displacement is not None:
+        moved = [(frame.source, _moves(frame)) for frame in (first, second)]
+        patterns = {"displacement": (moved, told.displacement), **patterns}
+    for kind, ((before, after), error) in patterns.items():
         true = temporal_error(scene, before, after)
         yield Row(name, f"temporal, {kind}", np.nan if error is None else error, true, TURNING)
 
