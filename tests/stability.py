@@ -248,6 +248,13 @@ TRANSFORMS = _group(
      ("tests/unit/planning/test_remarks.py::test_a_place_that_doubles_cannot_hold_is_told",)),
     ("a perspective in a prim's transform", "named error StageError: with the timeCodes",
      ("tests/unit/usd/test_stage_refusals.py::test_a_perspective_is_refused_and_a_shear_is_not",)),
+    ("voxels of 10¹⁸ units", "finite, or named error NonFiniteError: a remark tells their size",
+     ("tests/unit/planning/test_remarks.py::test_voxels_beyond_single_precision_are_told",)),
+    ("a sheared camera", "finite: views are without the shear, and a remark says so",
+     ("tests/unit/planning/test_remarks.py::test_a_sheared_camera_is_told",)),
+    ("an upAxis of X", "named error StageError",
+     ("tests/unit/usd/test_stage_refusals.py::"
+      "test_a_rate_or_unit_that_is_not_positive_is_refused[upAxis-\"X\"]",)),
     ("several grids of one name in a file", "finite: the first is read, and a remark says so",
      ("tests/unit/planning/test_remarks.py::"
       "test_a_choice_among_grids_of_one_name_is_told_until_the_stage_makes_it",)),

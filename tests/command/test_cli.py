@@ -92,6 +92,13 @@ def test_options_and_settings_override_the_file_in_this_order(
     assert resolved["stage"]["prims"] == ["/World/smoke"]
 
 
+def test_a_repair_beyond_single_precision_is_refused(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(shot.arguments("--dry-run", "--repair", "nan=1e39")) == 1
+    assert "repair_nan" in capsys.readouterr().err
+
+
 def test_a_dry_run_prints_the_plan_and_writes_nothing(
     shot: Shot, capsys: pytest.CaptureFixture[str]
 ) -> None:

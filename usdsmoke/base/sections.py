@@ -51,7 +51,8 @@ class GridsConfig(Section):
 
     half: bool = setting(False, "write 16-bit floats")
     repair_nan: float | None = setting(
-        None, "value that replaces NaN and infinity; unset: they are an error")
+        None, "value that replaces NaN and infinity; unset: they are an error",
+        ge=-3.4e38, le=3.4e38)
     refine: int = setting(
         1, "number of parts into which each voxel is divided, per axis", ge=1, le=16)
     prune: float = setting(0.0, "density at or below which a voxel becomes inactive", ge=0)

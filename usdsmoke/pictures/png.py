@@ -26,6 +26,7 @@ _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _ONE_COLOUR = 1.5 / 255  # less than two levels between the least and the greatest value
 _DARK = 0.1  # display-encoded; a hundredth of white's light
 _MOST_WHITE = 0.5  # of a linear image's values
+_BLACK = -0.01  # values above it are colours outside the gamut, or filters that undershoot
 _WHITE = 1.5  # the brightest value of an image that is white, apart from filters that overshoot
 _MAX_PIXELS = 100_000_000  # a 10 000 x 10 000 image; its pixels take 1.2 GB
 
@@ -85,7 +86,7 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
         mean = (pixels * share).sum(axis=(0, 1)) / share.sum()
         pixels = pixels * share + mean * (1.0 - share)
     pixels = np.ascontiguousarray(pixels, np.float32)
-    notes = "; ".join(filter(None, (note, _without_strokes(where, pixels))))
+    notes = "; ".join(filter(None, (_without_strokes(where, pixels), note)))
     return StyleImage(where.name, pixels, sha256, str(where.absolute()), notes)
 
 
@@ -213,7 +214,7 @@ def _read_exr(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def _encoded(where: Path, linear: np.ndarray) -> np.ndarray:
-    """Linear light as a screen shows it; an error where most of it would be plain white."""
+    """Linear light as a screen shows it; an error where most of it would be white or black."""
     _check_finite(f"the style image {where}", linear)
     white = float((linear > 1.0).mean())
     if white > _MOST_WHITE and linear.max() > _WHITE:
@@ -221,6 +222,13 @@ def _encoded(where: Path, linear: np.ndarray) -> np.ndarray:
             f"{white:.0%} of the style image {where} are brighter than 1, up to "
             f"{linear.max():.3g}, and would be plain white. Scale its linear light to 0 to 1, or "
             "save it as a display-encoded PNG."
+        )
+    black = float((linear < _BLACK).mean())
+    if black > _MOST_WHITE:
+        raise ImageError(
+            f"{black:.0%} of the style image {where} are below 0, down to {linear.min():.3g}, and "
+            "would be plain black. Scale its linear light to 0 to 1, or save it as a "
+            "display-encoded PNG."
         )
     return encode_srgb(np.clip(linear, 0.0, 1.0)).astype(np.float32)
 

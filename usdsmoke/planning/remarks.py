@@ -5,6 +5,8 @@ import math
 from collections.abc import Sequence
 from statistics import median
 
+import numpy as np
+
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.sections import ColourConfig, ViewsConfig, WindowsConfig
 from usdsmoke.base.time_codes import (
@@ -39,6 +41,8 @@ _UNLIKE = 4.0  # times the usual voxel: a shot may change its resolution by a fa
 _FEWEST_PIXELS = 16  # of a repetition of the style: fewer hold no strokes
 _WITHIN = 0.5  # of a box: less is neighbours that touch
 _ROUNDED = 1e-3  # of a voxel: 1e-3 changes the extinction of a puff by 3 %, 1 by 18 %
+_SIZES = (1e-15, 1e15)  # of voxels, stage units: squares of smaller or larger ones leave 32 bits
+_SHEARED = 0.01  # cosine between a camera's axes
 _MOST_REFINED = 4  # of the hint: 64 times the voxels
 
 
@@ -57,6 +61,8 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
             *_unlike_voxels(volume),
             *_same_names(volume),
             *_far_away(volume),
+            *_extreme_voxels(volume),
+            *_sheared_camera(volume),
             *_tiny_style(volume),
             *_unmoved(volume),
             *_overlap(volume),
@@ -277,6 +283,38 @@ def _far_away(volume: VolumePlan) -> list[str]:
     ]
 
 
+def _extreme_voxels(volume: VolumePlan) -> list[str]:
+    """Voxels whose sizes lead beyond the range of 32-bit floats."""
+    sizes = {f.source.time_code: voxel_size(volume, f) for f in volume.frames if not f.is_empty}
+    codes = [code for code, size in sizes.items() if size and not _SIZES[0] < size < _SIZES[1]]
+    if not codes:
+        return []
+    return [
+        f"voxels of <{volume.source.prim_path}> at {name_time_codes(codes)} are "
+        f"{sizes[codes[0]]:.3g} stage units large: 32-bit floats may not hold what is computed "
+        "with them. Scale the Volume, or check the unit of its files"
+    ]
+
+
+def _sheared_camera(volume: VolumePlan) -> list[str]:
+    """Cameras whose axes are not at right angles."""
+    codes = []
+    for frame in volume.frames:
+        if frame.source.camera is None:
+            continue
+        axes = frame.source.camera.camera_to_stage[:3, :3]
+        axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        if np.abs(axes @ axes.T - np.eye(3)).max() > _SHEARED:
+            codes.append(frame.source.time_code)
+    if not codes:
+        return []
+    return [
+        f"the camera <{volume.config.views.camera}> is sheared at {name_time_codes(codes)}: views "
+        "are taken by a camera without shear, so they differ from a renderer's. Remove the shear "
+        "from the camera and its parents"
+    ]
+
+
 def _tiny_style(volume: VolumePlan) -> list[str]:
     """A style that settings reduce to a few pixels."""
     style, refine = volume.config.style, volume.config.grids.refine
@@ -296,10 +334,11 @@ def _tiny_style(volume: VolumePlan) -> list[str]:
 def _heavy_losses(volume: VolumePlan) -> list[str]:
     """Weights beside which the style's does not count."""
     losses = volume.config.losses
+    names = [*losses.BESIDE_STYLE, *["keep"] * ("shape" in volume.config.optimize.steps)]
     return [
         f"losses.{name}={getattr(losses, name):g} outweighs the style: its strokes are lost. "
         "Compare the result with the style"
-        for name in losses.BESIDE_STYLE
+        for name in names
         if getattr(losses, name) > _HEAVY * losses.style > 0
     ]
 

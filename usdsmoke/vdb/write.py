@@ -156,7 +156,8 @@ def _as_stored(target: Path, field: DenseField, half: bool) -> DenseField:
         if largest > LARGEST_HALF:
             raise WriteFailed(
                 f'cannot write grid "{field.name}" of {target.name} in 16-bit floats: its largest '
-                f"value is {largest:g}, above {LARGEST_HALF:g}. Unset grids.half (--half)."
+                f"value is {largest:g}, above {LARGEST_HALF:g}. Unset grids.half (--half) and, for "
+                "a velocity, layer.compact_velocity."
             )
         values = round_to_half(values)
         background = round_to_half(background)

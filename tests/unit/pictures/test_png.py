@@ -62,6 +62,10 @@ def test_what_a_style_image_has_beside_its_pixels_is_noted(tmp_path: Path) -> No
     grey[0].save(tmp_path / "two.gif", save_all=True, append_images=grey[1:])
     assert read_style_image(tmp_path / "one.png").note == ""
     assert "2 frames" in read_style_image(tmp_path / "two.gif").note
+    dark = [grey[0].point(lambda level: 0), grey[0]]
+    dark[0].save(tmp_path / "dark.gif", save_all=True, append_images=dark[1:])
+    first, second = read_style_image(tmp_path / "dark.gif").note.split("; ", 1)
+    assert "one colour" in first and "2 frames" in second  # only the first is always shown
     chunks = PngInfo()
     chunks.add(b"gAMA", (100000).to_bytes(4, "big"))
     grey[0].save(tmp_path / "linear.png", pnginfo=chunks)
@@ -85,6 +89,20 @@ def test_a_nearly_black_style_is_noted(tmp_path: Path, brightest: int, is_dark: 
     levels = np.linspace(0, brightest, 16).round().astype(np.uint8)
     Image.fromarray(np.tile(levels[:, None, None], (1, 16, 3))).save(tmp_path / "a.png")
     assert ("nearly black" in read_style_image(tmp_path / "a.png").note) is is_dark
+
+
+@pytest.mark.parametrize(("share", "is_refused"), [(0.75, True), (0.25, False)])
+def test_an_image_of_negative_light_is_refused(
+    tmp_path: Path, share: float, is_refused: bool
+) -> None:
+    pixels = np.full((4, 8, 3), 0.5, np.float32)
+    pixels[:, : round(8 * share)] = -1.0
+    file_path = save_exr(tmp_path / "a.exr", rgb_channels(pixels))
+    if is_refused:
+        with pytest.raises(ImageError, match=r"75%.*below 0"):
+            read_style_image(file_path)
+    else:
+        assert read_style_image(file_path).pixels.min() == 0
 
 
 def test_jpeg_is_read(tmp_path: Path) -> None:

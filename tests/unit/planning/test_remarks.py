@@ -43,6 +43,9 @@ def test_a_loss_that_outweighs_the_style_is_remarked_on(shot: Shot) -> None:
     (note,) = plan_of(shot, "losses.nearest=1e6").notes
     assert "losses.nearest=1e+06 outweighs the style" in note
     assert plan_of(shot, "losses.nearest=10").notes == ()
+    (note,) = plan_of(shot, "losses.keep=1e9").notes
+    assert "losses.keep" in note
+    assert plan_of(shot, "losses.keep=1e9", "optimize.steps=[colour]").notes == ()
 
 
 @pytest.mark.parametrize("setting", ["style.size=0.001", "style.tiling=16"])
@@ -111,6 +114,29 @@ def test_a_choice_among_grids_of_one_name_is_told_until_the_stage_makes_it(tmp_p
     prim = density_prim(sequence([1]), extra="int fieldIndex = 0")
     write_text(shot.stage, world(volume_prim(prim)))
     assert plan_of(shot).notes == ()
+
+
+@pytest.mark.parametrize(("size", "is_told"), [(1e-3, False), (1e6, False), (1e18, True)])
+def test_voxels_beyond_single_precision_are_told(
+    tmp_path: Path, size: float, is_told: bool
+) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    grid = raw_grid(np.ones((4, 4, 4)), matrix=np.diag([size, size, size, 1.0]))
+    write_raw(shot.stage.parent / "cache/smoke.0001.vdb", grid)
+    assert ["32-bit" in note for note in plan_of(shot).notes] == [True] * is_told
+
+
+@pytest.mark.parametrize(("shear", "is_told"), [(0.001, False), (0.5, True)])
+def test_a_sheared_camera_is_told(tmp_path: Path, shear: float, is_told: bool) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    place = f"((2, 0, 0, 0), ({shear}, 1, 0, 0), (0, 0, 1, 0), (1, 1, 50, 1))"
+    camera = (
+        f'\ndef Camera "cam"\n{{\nmatrix4d xformOp:transform = {place}\n'
+        'uniform token[] xformOpOrder = ["xformOp:transform"]\n}\n'
+    )
+    write_text(shot.stage, world(volume_prim(density_prim(sequence([1]))) + camera))
+    notes = plan_of(shot, "views.camera=/World/cam").notes
+    assert any("sheared" in note for note in notes) == is_told
 
 
 @pytest.mark.parametrize(("away", "is_told"), [(1e6, False), (1e9, False), (1e13, True)])

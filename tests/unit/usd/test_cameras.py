@@ -156,6 +156,11 @@ def test_a_missing_camera_is_refused_with_a_list_of_those_there_are(stage, path,
             'float3 xformOp:scale = (1, 0, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]',
             "singular",
         ),
+        (
+            "matrix4d xformOp:transform = ((1, 0, 0, .5), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))"
+            '\nuniform token[] xformOpOrder = ["xformOp:transform"]',
+            "perspective",
+        ),
     ],
 )
 def test_a_camera_that_gives_no_picture_is_refused(tmp_path, line, found):

@@ -101,6 +101,7 @@ def test_a_value_that_usd_cannot_read_is_a_problem_of_the_stage(tmp_path):
         ("timeCodesPerSecond", "-1"),
         ("metersPerUnit", "0"),
         ("metersPerUnit", "nan"),
+        ("upAxis", '"X"'),
         ("framesPerSecond", "inf"),  # OpenUSD refuses the others itself
     ],
 )

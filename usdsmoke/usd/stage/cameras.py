@@ -126,3 +126,8 @@ def _check_camera(source: CameraSource, time_code: float) -> None:
             f"{where} is placed by a matrix that is singular or not finite. Correct the "
             "transforms of the camera and its parents."
         )
+    if not np.allclose(source.camera_to_stage[:, 3], (0.0, 0.0, 0.0, 1.0), rtol=0.0, atol=1e-9):
+        raise StageError(
+            f"{where} is placed by a perspective: the last column of its matrix is not 0, 0, 0, 1. "
+            "Correct the transforms of the camera and its parents."
+        )

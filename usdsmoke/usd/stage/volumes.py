@@ -167,6 +167,11 @@ def _check_units(stage: Usd.Stage) -> None:
                 f"{name} of {stage.GetRootLayer().identifier} is {value:g}. Author a positive "
                 "number in the layer's metadata."
             )
+    if (up := UsdGeom.GetStageUpAxis(stage)) not in (UsdGeom.Tokens.y, UsdGeom.Tokens.z):
+        raise StageError(
+            f'upAxis of {stage.GetRootLayer().identifier} is "{up}". Author Y or Z in the '
+            "layer's metadata."
+        )
 
 
 def _outline_volumes(
