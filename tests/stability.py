@@ -250,9 +250,8 @@ TRANSFORMS = _group(
      ("tests/unit/usd/test_places.py::test_a_perspective_is_refused_and_a_shear_is_not",
       "tests/unit/usd/test_stage_refusals.py::"
       "test_an_up_axis_that_no_view_turns_around_is_refused")),
-    ("voxels of 10¹⁸ units, a sheared camera", "finite: a remark tells it",
-     ("tests/unit/planning/test_remarks.py::test_voxels_beyond_single_precision_are_told",
-      "tests/unit/planning/test_remarks.py::test_a_sheared_camera_is_told")),
+    ("voxels of 10¹⁸ units", "finite: a remark tells their size",
+     ("tests/unit/planning/test_remarks.py::test_voxels_beyond_single_precision_are_told",)),
     ("several grids of one name in a file", "finite: the first is read, and a remark says so",
      ("tests/unit/planning/test_remarks.py::"
       "test_a_choice_among_grids_of_one_name_is_told_until_the_stage_makes_it",)),
