@@ -42,17 +42,15 @@ __all__ = [
 ]
 
 ALONE, LONGER, WINDOWS = "alone", "alone for longer", "windows"
+_TWICE = ("shape.iterations=[80,40,60]", "colour.iterations=[160,160,160]")  # the default's
 # What the ways to stylize a sequence change from the defaults. One way has a setting of each step:
 # displacements do not depend on those of colour.
 WAYS: Mapping[str, Sequence[str]] = {
     ALONE: ("windows.size=1",),
-    LONGER: (  # twice the default iterations
-        "windows.size=1",
-        "shape.iterations=[80,40,60]",
-        "colour.iterations=[160,160,160]",
-    ),
+    LONGER: ("windows.size=1", *_TWICE),
     WINDOWS: (),
     "one window": (),
+    "one window for longer": _TWICE,
     "crisper": ("windows.steadiness=0.08", "colour.warm_rate=0.7"),
     "steadier": ("windows.steadiness=0.8", "colour.warm_rate=0.25"),
     "much steadier": ("windows.steadiness=2.5", "colour.warm_rate=0.175"),
@@ -126,11 +124,12 @@ def _shot(resolution: int, style: str, seed: int, alone: Sequence[int]) -> tuple
 
 def _curve(resolution: int, style: str, seed: int, ways: Sequence[str]) -> tuple[Case, ...]:
     window = tuple(range(5, 13))
-    alone = Case(resolution, style, seed, ALONE, FEW)
-    return (alone, *(Case(resolution, style, seed, way, window) for way in ways))
+    alone = (Case(resolution, style, seed, way, FEW) for way in (ALONE, LONGER))
+    return (*alone, *(Case(resolution, style, seed, way, window) for way in ways))
 
 
 FEW = (6, 7, 10, 11)  # frames alone: two steps of one and two of four
+ONE = ("one window", "one window for longer")
 MORE = (*range(5, 13), 18, 19)  # a piece to be animated, and steps of eight
 PLAN = Study(
     shots=(
@@ -141,10 +140,10 @@ PLAN = Study(
         _shot(96, "strokes", 0, FEW),
     ),
     curve=(
-        *_curve(40, "strokes", 0, ("one window", "crisper", "steadier", "much steadier")),
-        *_curve(40, "strokes", 1, ("one window",)),
-        *_curve(40, "waves", 0, ("one window",)),
-        *_curve(40, "petals", 0, ("one window",)),
+        *_curve(40, "strokes", 0, (*ONE, "crisper", "steadier", "much steadier")),
+        *_curve(40, "strokes", 1, ONE),
+        *_curve(40, "waves", 0, ONE),
+        *_curve(40, "petals", 0, ONE),
     ),
     n_frames=24,
     settings=("optimize.error_budget=false",),
