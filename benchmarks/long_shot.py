@@ -28,6 +28,7 @@ from benchmarks.control_scenes import EXAMPLES, paint_styles
 from benchmarks.style_scores import stylize_in_child
 from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.sections import WindowsConfig
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
@@ -35,7 +36,7 @@ from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.vdb.read import GridRequest, read_grids
 
-__all__ = ["Line", "fit_line", "main"]
+__all__ = ["Line", "fit_line", "main", "window_means"]
 
 SHORT = 8  # frames
 STEP = 4  # every so many frames are scored
@@ -64,6 +65,18 @@ def fit_line(codes: np.ndarray, values: np.ndarray) -> Line:
     rest = values - values.mean() - slope * x
     variance = float((rest * rest).sum()) / (len(codes) - 2)
     return Line(float(values.mean()), slope, float(np.sqrt(variance / (x * x).sum())))
+
+
+def window_means(codes: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means over the frames of each window, of timeCodes and of values.
+
+    Frames of one window start from each other: as samples they are not independent, and a line's
+    standard error would be too small.
+    """
+    window = (codes - 1) // WindowsConfig().size
+    places = [window == number for number in np.unique(window)]
+    codes, values = (np.array([x[place].mean() for place in places]) for x in (codes, values))
+    return codes, values
 
 
 @dataclass(frozen=True)
@@ -134,7 +147,7 @@ def render_report(found: _Result, options: argparse.Namespace, words: Sequence[s
         for name, values in (
             ("windows", windows), ("alone", alone), ("windows - alone", windows - alone),
         ):  # fmt: skip
-            line = fit_line(found.codes, values)
+            line = fit_line(*window_means(found.codes, values))
             verdict = "flat" if line.is_flat else "not flat"
             rows.append(
                 f"| {kind}, {name} | {line.mean:.3f} | {line.change:+.3f} | {line.error:.3f} "
@@ -147,8 +160,9 @@ def render_report(found: _Result, options: argparse.Namespace, words: Sequence[s
         "",
         f"The example plume, {options.resolution} voxels across, {options.frames} frames in the",
         f"default windows, {times} iterations a step, {POOL} views, style `strokes`.",
-        f"A line is fitted to the style distances of every {STEP}th frame. *Change*: of the",
-        "line, from the first frame to the last; *flat*: no more than two standard errors of it.",
+        f"A line is fitted to the style distances of every {STEP}th frame, averaged over those",
+        "of each window, as frames of a window are alike. *Change*: of the line, from the first",
+        "window to the last; *flat*: no more than two standard errors of it.",
         "*Windows - alone* is without what the smoke itself changes.",
         "",
         "| style distance | mean | change | standard error | |",

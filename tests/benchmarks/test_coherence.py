@@ -10,7 +10,7 @@ from benchmarks import coherence_study
 from benchmarks.coherence_measures import border_ratio, painted_colours, temporal_errors
 from benchmarks.coherence_runs import Outcome, Run, Shot, _joined, run_windows
 from benchmarks.coherence_study import WINDOWS, Case, Kept, Study, keep_runs
-from benchmarks.long_shot import fit_line
+from benchmarks.long_shot import fit_line, window_means
 from tests.fixtures.smoke_fixtures import random_style
 from tests.fixtures.stylize_fixtures import quick_config, scene_of
 from tests.unit.core.test_fast_smoke import plume
@@ -111,6 +111,19 @@ def test_a_line_over_frames_is_flat_only_within_its_noise() -> None:
     assert line.error < 1e-12 and not line.is_flat
     assert fit_line(codes, 2.0 + noise).is_flat
     assert not fit_line(codes, 2.0 + noise + 0.5 * codes / 96).is_flat
+
+
+def test_what_frames_of_a_window_share_counts_once() -> None:
+    """Noise of windows, not of frames: half of all lines through it leave the band by frames."""
+    codes, generator = np.arange(1.0, 97.0, 2.0), np.random.default_rng(0)
+    outside = {"frames": 0, "windows": 0}
+    for _ in range(200):
+        values = np.repeat(generator.normal(size=12), 4)
+        outside["frames"] += not fit_line(codes, values).is_flat
+        outside["windows"] += not fit_line(*window_means(codes, values)).is_flat
+    assert outside["windows"] < 25 < 50 < outside["frames"]
+    means, of = window_means(codes, codes)
+    assert of.tolist() == means.tolist() == [4.0 + 8 * number for number in range(12)]
 
 
 def test_frames_of_an_overlap_are_blended_like_the_assemblys() -> None:
