@@ -369,7 +369,7 @@ def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
         found.append((what, "not used; stays in the source's files (layer.copy_fields)"))
     if volume.beside:
         what = f"{'grid' if len(volume.beside) == 1 else 'grids'} {', '.join(volume.beside)}"
-        found.append((what, "in the density's file; layer.copy_fields=[all] copies them"))
+        found.append((what, "in the density's file; layer.copy_fields=[all] copies floats"))
     found += [(f"the copy of {name}", reason) for name, reason in volume.not_copied.items()]
     if volume.cuts and volume.config.windows.size > 1:
         found.append(("coherence over cuts", _cuts_text(volume.cuts)))

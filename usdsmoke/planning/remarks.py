@@ -42,7 +42,7 @@ _FEWEST_PIXELS = 16  # of a repetition of the style: fewer hold no strokes
 _WITHIN = 0.5  # of a box: less is neighbours that touch
 _ROUNDED = 1e-3  # of a voxel: 1e-3 changes the extinction of a puff by 3 %, 1 by 18 %
 _SIZES = (1e-15, 1e15)  # of voxels, stage units: squares of smaller or larger ones leave 32 bits
-_SHEARED = 0.01  # cosine between a camera's axes
+_SHEARED = 0.01  # cosine between a camera's axes, and difference of their lengths
 _MOST_REFINED = 4  # of the hint: 64 times the voxels
 
 
@@ -297,21 +297,21 @@ def _extreme_voxels(volume: VolumePlan) -> list[str]:
 
 
 def _sheared_camera(volume: VolumePlan) -> list[str]:
-    """Cameras whose axes are not at right angles."""
+    """Cameras whose axes are not at right angles or not of one length."""
     codes = []
     for frame in volume.frames:
         if frame.source.camera is None:
             continue
         axes = frame.source.camera.camera_to_stage[:3, :3]
-        axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-        if np.abs(axes @ axes.T - np.eye(3)).max() > _SHEARED:
+        squares = axes @ axes.T / np.square(axes).sum(axis=1).max()
+        if np.abs(squares / squares.max() - np.eye(3)).max() > _SHEARED:
             codes.append(frame.source.time_code)
     if not codes:
         return []
     return [
-        f"the camera <{volume.config.views.camera}> is sheared at {name_time_codes(codes)}: views "
-        "are taken by a camera without shear, so they differ from a renderer's. Remove the shear "
-        "from the camera and its parents"
+        f"the camera <{volume.config.views.camera}> is sheared or scaled unevenly at "
+        f"{name_time_codes(codes)}: views are taken by a camera that is not, as USD's frustum "
+        "does. Remove scales and shears from the camera and its parents"
     ]
 
 

@@ -24,6 +24,7 @@ from usdsmoke.vdb.child import ChildFailure
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 
 _COMPONENTS = {"float": 1, "vec3s": 3}  # the value types that every version of the bindings knows
+_LAST_INDEX = 2**30  # either way: OpenVDB crashes near 2^31
 _STANDARD_TREE = "5_4_3"
 _KEPT_CLASSES = ("fog volume", "staggered")
 _DERIVED_KEYS = ("class", "is_saved_as_half_float", "name", "value_type")  # fields carry these
@@ -151,6 +152,12 @@ def check_readable(header: FileHeader, grid: GridHeader, request: GridRequest) -
         raise UnsupportedGrid(
             f"{found} has a {grid.transform_type}, which is not linear. Resample the grid with a "
             "transform of scale, rotation, shear and translation."
+        )
+    if any(abs(index) > _LAST_INDEX for index in (*(grid.bbox_min or ()), *(grid.bbox_max or ()))):
+        raise UnsupportedGrid(
+            f"{found} has voxels from index {list(grid.bbox_min or ())} to "
+            f"{list(grid.bbox_max or ())}, too far out for OpenVDB's 32-bit indices. Move them "
+            "towards index 0, and the grid's transform against it."
         )
     if abs(np.linalg.det(grid.index_to_world[:3, :3])) == 0.0:
         raise UnsupportedGrid(

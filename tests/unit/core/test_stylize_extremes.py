@@ -56,6 +56,13 @@ def test_density_of_any_amount_is_moved_like_ordinary_smoke(amount):
     assert result.report.transport.largest_displacement > 0
 
 
+@pytest.mark.parametrize("largest", [1e33, 2e38])
+def test_densities_whose_sums_overflow_are_refused_by_name(largest):
+    density = DENSITY * np.float32(largest / DENSITY.max())
+    with pytest.raises(NonFiniteError, match=r"timeCode 3.*Scale the density down"):
+        run_core([frame_of(density, 3.0)], scene=scene_of([frame_of(DENSITY, 3.0)], quick_config()))
+
+
 def test_density_over_sixty_orders_of_magnitude():
     density = DENSITY * np.float32(10.0) ** np.random.default_rng(0).uniform(-30, 30, DENSITY.shape)
     assert_sound(run_core([frame_of(density)])[0], density)

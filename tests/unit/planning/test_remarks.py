@@ -126,10 +126,14 @@ def test_voxels_beyond_single_precision_are_told(
     assert ["32-bit" in note for note in plan_of(shot).notes] == [True] * is_told
 
 
-@pytest.mark.parametrize(("shear", "is_told"), [(0.001, False), (0.5, True)])
-def test_a_sheared_camera_is_told(tmp_path: Path, shear: float, is_told: bool) -> None:
+@pytest.mark.parametrize(
+    ("shear", "scale", "is_told"), [(0.001, 1, False), (0.5, 1, True), (0, 0.2, True)]
+)
+def test_a_sheared_or_stretched_camera_is_told(
+    tmp_path: Path, shear: float, scale: float, is_told: bool
+) -> None:
     shot = make_shot(tmp_path, n_frames=1)
-    place = f"((2, 0, 0, 0), ({shear}, 1, 0, 0), (0, 0, 1, 0), (1, 1, 50, 1))"
+    place = f"((1, 0, 0, 0), ({shear}, 1, 0, 0), (0, 0, {scale}, 0), (1, 1, 50, 1))"
     camera = (
         f'\ndef Camera "cam"\n{{\nmatrix4d xformOp:transform = {place}\n'
         'uniform token[] xformOpOrder = ["xformOp:transform"]\n}\n'

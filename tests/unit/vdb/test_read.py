@@ -202,6 +202,15 @@ def test_nan_and_infinite_voxels_are_counted_and_placed(tmp_path: Path) -> None:
     assert int((field.values == 1.0).sum()) == 25
 
 
+@pytest.mark.parametrize("first", [2_000_000_000, -(2**31) + 8])
+def test_indices_at_the_end_of_32_bits_are_refused_before_openvdb_crashes(
+    tmp_path: Path, first: int
+) -> None:
+    file_path = write_raw(tmp_path / "a.vdb", raw_grid(np.ones((2, 2, 2)), ijk=(first, 0, 0)))
+    with pytest.raises(UnsupportedGrid, match=str(abs(first))):
+        read_grids(file_path, [GridRequest("density")], TIGHT)
+
+
 def test_background_that_is_not_finite_is_refused(tmp_path: Path) -> None:
     grid = openvdb().FloatGrid(float("inf"))
     grid.fill((0, 0, 0), (1, 0, 0), 2.0)

@@ -51,6 +51,7 @@ Watch = Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]
 NO_STRENGTH = "optimize.strength is 0"  # why a frame is left out
 
 _BESIDE = 0.01  # of the largest density: as much in inactive voxels is no rounding
+_MOST_DENSITY = 1e32
 _NEGATIVE = 0.01  # of the density: less is what simulations leave behind
 
 
@@ -383,3 +384,9 @@ def _check_finite(frame: VolumeFrame) -> None:
                 f'{count} values of grid "{item.name}" at timeCode {frame.time_code:g} are NaN or '
                 "infinite. Set grids.repair_nan to the value that replaces them."
             )
+    largest = float(frame.density.values.max(initial=0.0))
+    if largest > _MOST_DENSITY:
+        raise NonFiniteError(
+            f"the density at timeCode {frame.time_code:g} reaches {largest:.3g}, and sums over it "
+            f"leave the range of 32-bit floats above {_MOST_DENSITY:g}. Scale the density down."
+        )
