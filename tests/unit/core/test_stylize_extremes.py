@@ -59,7 +59,7 @@ def test_density_of_any_amount_is_moved_like_ordinary_smoke(amount):
 @pytest.mark.parametrize("largest", [1e33, 2e38])
 def test_densities_whose_sums_overflow_are_refused_by_name(largest):
     density = DENSITY * np.float32(largest / DENSITY.max())
-    with pytest.raises(NonFiniteError, match=r"timeCode 3.*Scale the density down"):
+    with pytest.raises(NonFiniteError, match=r"timeCode 3 .*1e\+32"):
         run_core([frame_of(density, 3.0)], scene=scene_of([frame_of(DENSITY, 3.0)], quick_config()))
 
 
