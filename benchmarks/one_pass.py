@@ -6,10 +6,10 @@ For each style a network is trained on frames of the example plume, as ``usdsmok
 paints a frame that it has not seen, and two of other shots: a plume with a wider source, more heat
 and other gusts, and the real plume, its voxels merged in blocks, where its file is there. Beside it
 stand cold starts of the colour step, a start from the frame before, and the network with iterations
-of the finest octave after it. ``--own`` trains another network on the real plume itself, a shot of
-one frame, ``--large`` trains only there, at full resolution. Density is as it is in the files.
-Losses and scores are means over views that no run has, and over the seeds. Everything runs on one
-thread.
+of the finest octave after it. ``--other`` trains on the first of these shots instead, ``--own``
+also on the real plume, a shot of one frame, ``--large`` only there, at full resolution. Density is
+as it is in the files. Losses and scores are means over views that no run has, and over the seeds.
+Everything runs on one thread.
 """
 
 import argparse
@@ -212,7 +212,8 @@ def _curves(
     yield _line(name, f"training, {trained.n_iterations} iterations", Row("", 0.0, seconds))
     problem = _problem(frames[-1], style, _measure(frames, config), config)
     work = problem, trained.generator, Ways(neighbour=_carried(frames[-2:], style, problem))
-    yield from _rows(f"{name}, example plume", (frames[-1], style), work, gallery, given)
+    where = f"{name}, {OTHER if given.other else 'example plume'}"
+    yield from _rows(where, (frames[-1], style), work, gallery, given)
     for what, other in others.items():
         own = _config(max(other.density.values.shape))
         problem = _problem(other, style, _measure([other], own), own)
@@ -360,6 +361,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--training-seed", type=int, default=0)
     parser.add_argument("--long", type=int, default=0, help="frames of a shot, for drift alone")
     parser.add_argument("--shown", action="store_true", help="temporal errors of the first style")
+    parser.add_argument("--other", action="store_true", help="train on the other plume alone")
     parser.add_argument("--own", action="store_true", help="train on the real plume, too")
     parser.add_argument("--large", action="store_true", help="only the real plume, as it is")
     parser.add_argument("--network", type=Path, help="with --large: trained there before")
@@ -376,9 +378,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     elif given.long:
         made = [partial(_long_shot, given.styles[0], given)]
     else:
-        frames = simulate_plume(given.resolution, N_FRAMES)
-        others = {OTHER: simulate_plume(given.resolution, N_FRAMES, **ALIKE)[-1]}
-        if file_path.is_file():
+        frames, alike = (simulate_plume(given.resolution, N_FRAMES, **of) for of in ({}, ALIKE))
+        frames, others = (alike, {}) if given.other else (frames, {OTHER: alike[-1]})
+        if file_path.is_file() and not given.other:
             others[REAL] = read_real_plume(file_path, given.resolution)
         made = [partial(_curves, name, frames, others, gallery, given) for name in given.styles]
     for lines_of in made:
@@ -389,10 +391,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             gallery.save(given.picture)
     columns = ["style, smoke", "start", "loss", "CPU s", "of cold, 240", *MEASURES]
     own = sys.argv[1:] if arguments is None else arguments
-    publish(
-        table_page(_INTRO, columns, lines, ["python", "-m", "benchmarks.one_pass", *own]),
-        given.report,
-    )
+    command = ["python", "-m", "benchmarks.one_pass", *own]
+    publish(table_page(_INTRO, columns, lines, command), given.report)
     return 0
 
 
