@@ -250,12 +250,12 @@ class ShapeConfig(Section):
     interpolation: Literal["linear", "cubic"] = setting(
         "cubic", "scheme of the final transport")
     mass_correction: bool = setting(True, "scale the moved density to the source's mass")
-    learning_rate: float = setting(0.06, "Adam's step for the potential", gt=0)
+    learning_rate: float = setting(0.085, "Adam's step for the potential", gt=0)
     iterations: Iterations = setting(
         [40, 20, 30], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="shapeIterations")
     warm_rate: float = setting(
-        0.5, "share of the learning rate for a frame that starts from its neighbour's result "
+        0.35, "share of the learning rate for a frame that starts from its neighbour's result "
         "or from the coarse step", gt=0, le=1)
     smoothing: float = setting(
         0.5, "share of the next frame's result that is mixed into each frame", ge=0, le=0.5)
@@ -271,9 +271,9 @@ class ColourConfig(Section):
     init: Literal["noise", "density"] = setting(
         "noise", "first colours: density times white noise (noise), or plain density (density)",
         request="colourInit")
-    learning_rate: float = setting(0.05, "Adam's step for display-encoded colour in [0, 1]", gt=0)
+    learning_rate: float = setting(0.06, "Adam's step for display-encoded colour in [0, 1]", gt=0)
     iterations: Iterations = setting(
-        [80, 80, 80], "iterations per octave, coarse to fine; 0 skips an octave",
+        [50, 50, 65], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="colourIterations")
     warm_rate: float = setting(
         0.35, "share of the learning rate for a frame that starts from its neighbour's result or "

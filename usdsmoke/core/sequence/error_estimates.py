@@ -148,7 +148,7 @@ def tail_figures(step: str, ends: Sequence[Minimum], pool: int, count: int) -> d
         "fallen_in_last_octave": max(losses[0] - end, 0.0),
         "remaining": math.nan
         if way < SHORTEST_WAY
-        else remaining_decrease(losses, rates, USUALLY_LEFT[step], ends[-1].n_joined),
+        else remaining_decrease(losses, rates, USUALLY_LEFT[step]),
         "view_spread": spread_of_mean(losses, pool, count),
         "way": way,
     }

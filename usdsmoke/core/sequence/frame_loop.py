@@ -387,7 +387,6 @@ def _report(
     """How the octaves of a step ended; ``n_views`` as of ``PaintedFrame``."""
     views = frame.config.views
     pool = n_views or pool_size(views, frame.source.thin_axis is not None)
-    drawn = views.count * ends[-1].n_joined if ends else 1
     return StepReport(
         seconds=time.perf_counter() - started,
         loss=tuple(end.smoothed for end in ends),
@@ -395,5 +394,5 @@ def _report(
         rollbacks=sum(end.rollbacks for end in ends),
         restored=sum(end.restored for end in ends),
         ended=tuple(end.reason for end in ends),
-        **tail_figures(step, ends, pool, drawn),
+        **tail_figures(step, ends, pool, views.count),
     )

@@ -8,7 +8,6 @@
 - ``colour``: the colour step: colours of the voxels
 - ``behind``: its iterations behind what a network has painted
 - ``light_share``: what finished pictures show of lamps and of the style
-- ``joined``: iterations of the last octave that are one step, of two views
 - ``optimize``: Adam with rollbacks, for any objective
 - ``loss_tail``: by how much a loss would still fall, from its history
 """

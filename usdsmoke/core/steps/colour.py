@@ -29,7 +29,6 @@ from usdsmoke.core.smoke.memory import SHARED_ROWS, LazyList, share_rows
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.spread import blend_chroma, spread_colours
 from usdsmoke.core.smoke.srgb import BRIGHTEST, decode_srgb, encode_srgb, luma
-from usdsmoke.core.steps.joined import counted, join, tell
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
@@ -112,15 +111,14 @@ def run_colour_step(
         pool = colour_pool(replace(problem, smoke=octave), factor, config.optimize.seed + number)
         begun = _colours_on(here, before, colours, problem)
         descent = Descent(rate, n_iterations, config.optimize.tolerance, epsilon)
-        pool, descent, n_joined = join(pool, descent, warm or number < octaves[-1][0])
-        told = None if watch is None else partial(tell, watch, number, n_joined, n_iterations)
+        told = None if watch is None else partial(watch, number)
         rules = _rules(problem, here, begun if warm else None)
         loss, background = problem.targets.at(factor), problem.targets.background
         colours, end = optimize_colours(pool, begun, loss, background, descent, told, rules)
         before = here
         if end is None:
             continue
-        ends.append(counted(end, n_joined, n_iterations))
+        ends.append(end)
         if not warm:
             colours = _completed(pool.drawn(end.iteration + 1), here, colours, share, scene, factor)
         colours = rules.in_style(colours, begun if warm else None)

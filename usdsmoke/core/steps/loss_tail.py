@@ -19,9 +19,7 @@ _MOST_USUAL = 0.5  # of the loss
 _SHORTEST = 8  # iterations that separate a spread from a slope
 
 
-def remaining_decrease(
-    losses: Sequence[float], rates: Sequence[float], usual: float, n_joined: int = 1
-) -> float:
+def remaining_decrease(losses: Sequence[float], rates: Sequence[float], usual: float) -> float:
     """By how much a run with four times as many iterations would end lower, in the loss's unit.
 
     The tails L + B r + A / (1 + s / a) and L + B r + A exp(-s / T) with B >= 0 are fitted by least
@@ -39,13 +37,12 @@ def remaining_decrease(
         losses: one an iteration, in order.
         rates: the step that followed each, > 0.
         usual: share of the loss that other runs had left where their rates add up to 1.
-        n_joined: iterations that each of them is; the fewer numbers scatter less.
 
     Returns:
         >= 0; NaN with fewer than ``FEWEST`` iterations, or with a number that is not finite.
     """
     values, ways = np.asarray(losses, float), np.cumsum(np.asarray(rates, float))
-    if len(values) * n_joined < FEWEST or not np.isfinite(values).all():
+    if len(values) < FEWEST or not np.isfinite(values).all():
         return math.nan
     first, whole = len(values) // 4, ways[-1]
     tail = values[first:]

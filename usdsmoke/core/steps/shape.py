@@ -160,6 +160,9 @@ def run_shape_step(
     box: MotionBox | None = None
     potential, ends = None, []
     todo = octaves_to_do(source, iterations, problem.scene.pixel_size)
+    if blocks is not source and todo and todo[-1][2] is source:
+        # it is done on the blocks, which are the voxels of the octave before (decision 058)
+        todo = [octave for octave in todo if octave[0] != todo[-1][0] - 1]
     for number, factor, smoke, n_iterations in todo:
         if smoke is source and blocks is not source:  # finer pictures hardly move blocks better
             smoke, factor = blocks, factor * OCTAVE_SCALE
