@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 ALONE, LONGER, WINDOWS = "alone", "alone for longer", "windows"
-_TWICE = ("shape.iterations=[80,40,60]", "colour.iterations=[160,160,160]")  # the default's
+_TWICE = ("shape.iterations=[80,40,60]", "colour.iterations=[100,100,130]")  # the default's
 # What the ways to stylize a sequence change from the defaults. One way has a setting of each step:
 # displacements do not depend on those of colour.
 WAYS: Mapping[str, Sequence[str]] = {

@@ -89,8 +89,8 @@ def shaken(x: Tensor, iteration: int) -> Tensor:
 
 def test_a_plateau_at_the_full_rate_is_not_the_end_but_starts_the_annealing():
     """Steps of full size keep the loss up, and falling ones let it down."""
-    x = start()
-    ends = list(minimize(partial(shaken, x), [x], Descent(0.1, 2000, 1e-3)))
+    x, adam = start(), Adam(betas=(0.9, 0.99))
+    ends = list(minimize(partial(shaken, x), [x], Descent(0.1, 2000, 1e-3), adam=adam))
     rates = torch.tensor([end.rate for end in ends])
     n_full = int((rates == rates[0]).sum())
     assert ends[-1].reason == "converged" and n_full < 1000

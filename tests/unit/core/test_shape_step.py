@@ -185,7 +185,7 @@ def test_smoke_that_is_moved_far_hardly_folds(
             "views.pool": 4,
             "shape.iterations": [40],
             "shape.reach": far,
-            "shape.learning_rate": far,
+            "shape.learning_rate": 0.7 * far,
             "losses.keep": 0.0,
         }
     )

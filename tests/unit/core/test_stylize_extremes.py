@@ -265,11 +265,11 @@ def test_loss_weights_of_any_size(sections):
 
 @pytest.mark.parametrize("step", ["shape", "colour"])
 def test_a_learning_rate_a_hundred_times_too_large_ends_no_worse_than_it_began(step):
-    rate = {"shape": 6.0, "colour": 5.0}[step]
+    rate = {"shape": 8.5, "colour": 6.0}[step]
     config = quick_config(
         optimize={"steps": [step], "threads": 1, "tolerance": 0.0},
         views={"pool": 1},  # whose losses can be compared
-        **{step: {"learning_rate": rate, "iterations": [25]}},
+        **{step: {"learning_rate": rate, "iterations": [40]}},
     )
     told: list[Any] = []
     result = run_core([frame_of(DENSITY)], config, watch=told)[0]

@@ -38,7 +38,9 @@ def test_every_loss_counts_in_both_steps(weights):
 def moved(weights: dict[str, float]) -> float:
     """How much density the shape step changes, as a share of all."""
     config = quick_config(
-        losses=weights, shape={"iterations": [20]}, optimize={"steps": ["shape"], "threads": 1}
+        losses=weights,
+        shape={"iterations": [20], "learning_rate": 0.06},
+        optimize={"steps": ["shape"], "threads": 1},
     )
     found, source = by_voxel(run_core([FRAME], config)[0].density), by_voxel(FRAME.density)
     voxels = found.keys() | source.keys()
@@ -73,7 +75,8 @@ def test_smoke_of_a_faint_gamma_goes_through_both_steps_like_the_paper_s(gamma, 
 
     def run(value: float) -> StylizedFrame:
         optics = {"gamma": value, "gamma_shape": value}
-        return run_core([FRAME], quick_config(optics=optics))[0]
+        rates = {"shape": {"learning_rate": 0.06}, "colour": {"learning_rate": 0.05}}
+        return run_core([FRAME], quick_config(optics=optics, **rates))[0]
 
     limit, found = run(1e-6), run(gamma)
     assert found.report.shape.loss == pytest.approx(limit.report.shape.loss, rel=loss)
