@@ -13,7 +13,7 @@ SETTINGS = {
     "features": {"layers": ["oriented1", "oriented2", "learned1"]},
     "shape": {"iterations": [30, 32]},
     # with larger steps too little is left to be told
-    "colour": {"iterations": [30, 64], "learning_rate": 0.035},
+    "colour": {"iterations": [30, 64], "learning_rate": 0.015},
     "optimize": {"threads": 1},
 }
 WITHIN = 3.0  # times too large or too small; the benchmark's larger scenes stay within 2

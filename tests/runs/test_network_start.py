@@ -178,5 +178,5 @@ def test_the_plan_tells_that_the_finest_octave_alone_follows_the_network(shot: S
     network.write_bytes(Generator.new(torch.full((3,), 0.5), 0).to_bytes({}))
     told = plan(shot.stage, shot.style, shot.output, {"optimize.start": str(network)})
     assert any(
-        "colour step with 80 iterations behind a network" in sentence for sentence in told.needed
+        "colour step with 65 iterations behind a network" in sentence for sentence in told.needed
     )

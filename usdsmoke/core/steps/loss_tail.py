@@ -31,8 +31,9 @@ def remaining_decrease(losses: Sequence[float], rates: Sequence[float], usual: f
     What the tails predict is averaged, in logarithms. A tail's weight is w p exp(-(S - S_least) /
     2 v), with S the sum of squares and v = S_least / (n - 4). Style losses fall like the first
     kind, with w = 1, a quadratic bowl like the second, with w = 0.03. p is what other runs had
-    left: a logarithmic normal distribution around ``usual`` / s^0.7 of the loss, at most a half. So a
-    clean history is taken at its word, and one that scatters more than it falls is told as usual.
+    left: a logarithmic normal distribution around ``usual`` / s^0.7 of the loss, at most a half.
+    So a clean history is taken at its word, and one that scatters more than it falls is told as
+    usual.
 
     Args:
         losses: one an iteration, in order.
