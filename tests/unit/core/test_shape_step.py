@@ -221,3 +221,13 @@ def test_a_departure_from_the_start_counts_in_pixels() -> None:
     assert cost(2.0) == pytest.approx(cost(1.0) / 4, rel=1e-3)
     assert cost(1.0, factor=2) == pytest.approx(cost(1.0) / 4, rel=1e-3)
     assert cost(1.0, reach=0.08) == pytest.approx(cost(1.0), rel=1e-3)
+
+
+@pytest.mark.parametrize(("many", "done"), [(10**9, (2, 3, 4)), (1, (2, 4))])
+def test_where_blocks_move_the_octave_that_has_the_same_voxels_is_left_out(
+    many: int, done: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(move, "MANY_VOXELS", many)
+    config = quick_config(shape={"iterations": [2, 3, 4]}, optimize={"steps": ["shape"]})
+    (frame,) = run_core([frame_of(puff(24))], config)
+    assert frame.report.shape is not None and frame.report.shape.iterations == done
