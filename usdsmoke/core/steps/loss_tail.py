@@ -16,7 +16,7 @@ _BOWL = 0.03  # weight of an exponential beside a tail of the other kind
 _GAINS, _N_GAINS = (1e-5, 1.0), 60  # of the loss: what is looked for
 _SPREAD = 0.5  # of the logarithm of what other runs had left
 _MOST_USUAL = 0.5  # of the loss
-_FALL = 0.7  # power of the way by which it gets less: fitted to runs of 32 to 160 iterations
+_FALL = 0.7  # power of the way by which runs of 30 to 160 iterations had less left
 _SHORTEST = 8  # iterations that separate a spread from a slope
 
 
