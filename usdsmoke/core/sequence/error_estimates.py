@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -17,7 +18,7 @@ from torch import Tensor
 from usdsmoke.base.frame_report import SHORTEST_WAY, Estimate, FrameErrors
 from usdsmoke.base.sections import OpticsConfig
 from usdsmoke.core.fields.richardson import StepError
-from usdsmoke.core.sequence.frame_state import PaintedFrame
+from usdsmoke.core.sequence.frame_state import MovedFrame, OpenedFrame, PaintedFrame
 from usdsmoke.core.sequence.picture_errors import (
     Painted,
     fit_blocks,
@@ -30,12 +31,15 @@ from usdsmoke.core.smoke.schedule import has_one_view, view_ranges
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.smoke.voxels import FLOOR_TIMES
+from usdsmoke.core.steps.colour import FAINT
 from usdsmoke.core.steps.loss_tail import likely_difference, remaining_decrease, spread_of_mean
 from usdsmoke.core.steps.optimize import Minimum
-from usdsmoke.core.steps.pictures import grey_view, prepare_views
+from usdsmoke.core.steps.pictures import ColourView, grey_view, prepare_views
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import frame_views, thick_column
+
+Item = TypeVar("Item")
 
 N_UNSEEN = 2  # views that were not optimised, as far apart as possible
 N_SEEN = 8  # that were: with four, three of six scenes are told 2.4 to 4.5 times the truth
@@ -56,12 +60,10 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
     Args:
         frame: at the end of its chain.
     """
-    optimize = frame.config.optimize
-    is_wanted = frame.in_effect and optimize.error_budget and not frame.alone
-    if not is_wanted or len(frame.smoke.ijk) == 0:
+    if not _is_wanted(frame) or frame.alone:
         return FrameErrors()
-    quadrature = unseen = None
-    view = fit_blocks(_views(frame, 1, optimize.seed)[0])
+    quadrature = None
+    view = fit_blocks(_views(frame, 1, frame.config.optimize.seed)[0])
     painted = painted_frame(frame, view)
     gamma_w = frame.scene.gamma_w
     if frame.paint is None:
@@ -72,9 +74,46 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
             quadrature = _timed(lambda: quadrature_error(painted, view, gamma_w, picture))
         resolution = _timed(lambda: resolution_error(painted, view, gamma_w, picture))
         filtered = _timed(lambda: pixel_filter_error(painted, view, gamma_w, picture))
-        if not has_one_view(frame.config.views, frame.smoke.thin_axis is not None):
-            unseen = _timed(lambda: _unseen_views(frame))
+    unseen = frame.unseen or unseen_views(frame, frame.colours, n_views=frame.n_views)
     return FrameErrors(quadrature, resolution, filtered, unseen)
+
+
+def unseen_views(
+    frame: MovedFrame, colours: Tensor | None, seen: Sequence[ColourView] = (), n_views: int = 0
+) -> Estimate | None:
+    """How far the style loss of views nobody optimised differs from that of optimised ones.
+
+    None where there are no errors (``frame_errors``), and where all views are the same.
+
+    Args:
+        frame: with its density moved.
+        colours: display-encoded [N 3], of the painted voxels; None: the grey pictures are compared.
+        seen: views that the colours were optimised with; without any they are made anew.
+        n_views: that the last octave had; 0: ``views.pool``.
+    """
+    config = frame.config
+    if not _is_wanted(frame) or has_one_view(config.views, frame.smoke.thin_axis is not None):
+        return None
+
+    def estimate() -> float:
+        unseen = _views(frame, N_UNSEEN, config.optimize.seed ^ OTHER_SEED, "poisson")
+        steps = config.shape if colours is None else config.colour
+        seed = config.optimize.seed + len(steps.iterations) - 1
+        again = [] if seen else _spread(_views(frame, n_views or config.views.pool, seed))
+        made = [*again, *unseen]
+        if colours is None:
+            losses = _grey_losses(frame, made)
+        else:
+            losses = _colour_losses(frame, colours, [*_spread(seen), *_looks(frame, made)])
+        return likely_difference(losses[:-N_UNSEEN], losses[-N_UNSEEN:])
+
+    with torch.no_grad():
+        return _timed(estimate)
+
+
+def _is_wanted(frame: OpenedFrame) -> bool:
+    """Whether errors are estimated."""
+    return frame.in_effect and frame.config.optimize.error_budget and len(frame.smoke.ijk) > 0
 
 
 def thick_depth(frame: PaintedFrame) -> float | None:
@@ -173,51 +212,50 @@ def painted_frame(frame: PaintedFrame, view: View) -> Painted:
     return Painted(smoke, light)
 
 
-def _share(frame: PaintedFrame) -> Tensor | None:
+def _share(frame: OpenedFrame) -> Tensor | None:
     return None if frame.mask is None else frame.mask.at(frame.smoke.positions)
 
 
-def _views(frame: PaintedFrame, pool: int, seed: int, sampling: str | None = None) -> list[View]:
+def _views(frame: OpenedFrame, pool: int, seed: int, sampling: str | None = None) -> list[View]:
     """A pool of views of the finished smoke."""
     views = frame.config.views
     views = views.replace(pool=pool, sampling=sampling or views.sampling)
     return frame_views(frame.smoke, views, frame.scene, seed)
 
 
-def _unseen_views(frame: PaintedFrame) -> float:
-    """How far the style loss of views nobody optimised differs from that of optimised ones."""
-    config = frame.config
-    iterations = config.shape.iterations if frame.paint is None else config.colour.iterations
-    n_views = frame.n_views or config.views.pool
-    pool = _views(frame, n_views, config.optimize.seed + len(iterations) - 1)
-    seen = pool[:: max(1, len(pool) // N_SEEN)][:N_SEEN]
-    unseen = _views(frame, N_UNSEEN, config.optimize.seed ^ OTHER_SEED, "poisson")
-    losses = _losses(frame, [*seen, *unseen])
-    return likely_difference(losses[: len(seen)], losses[len(seen) :])
+def _spread(views: Sequence[Item]) -> Sequence[Item]:
+    """``N_SEEN`` of the views at most."""
+    return views[:: max(1, len(views) // N_SEEN)][:N_SEEN]
 
 
-def _losses(frame: PaintedFrame, views: Sequence[View]) -> list[float]:
-    """The style loss of each view of the finished frame, in colour where there is any."""
-    smoke, scene, share = frame.smoke, frame.scene, _share(frame)
-    if frame.paint is None:
-        loss = frame.targets.at(1, grey=True)
+def _looks(frame: MovedFrame, views: Sequence[View]) -> Sequence[ColourView]:
+    """The maps of the frame's painted voxels, made as in the colour step."""
+    smoke, scene = frame.smoke, frame.scene
+    made = prepare_views(
+        smoke, views, scene.gamma_w, scene.exposure, _share(frame), frame.lighting(), FAINT
+    )
+    return run_tasks([partial(made.__getitem__, number) for number in range(len(views))])
 
-        def grey_loss(view: View) -> float:
-            image = column_map(smoke.positions, smoke.edges, view)
-            look = grey_view(image, smoke.density, share, scene.gamma_w_shape, scene.exposure_shape)
-            return float(loss(look.over_grey(look.grey, scene.grey_mean), look.guide))
 
-        return run_tasks([partial(grey_loss, view) for view in views])
-    loss, linear = frame.targets.at(1), decode_srgb(frame.paint[1])
-    behind, lighting = frame.targets.background, frame.lighting()
+def _colour_losses(frame: MovedFrame, colours: Tensor, looks: Sequence[ColourView]) -> list[float]:
+    loss, behind, linear = frame.targets.at(1), frame.targets.background, decode_srgb(colours)
 
-    looks = prepare_views(smoke, views, scene.gamma_w, scene.exposure, share, lighting)
-
-    def colour_loss(number: int) -> float:
-        look = looks[number]
+    def colour_loss(look: ColourView) -> float:
         return float(loss(look.unpremultiplied(linear, behind), look.guide))
 
-    return run_tasks([partial(colour_loss, number) for number in range(len(views))])
+    return run_tasks([partial(colour_loss, look) for look in looks])
+
+
+def _grey_losses(frame: MovedFrame, views: Sequence[View]) -> list[float]:
+    smoke, scene, share = frame.smoke, frame.scene, _share(frame)
+    loss = frame.targets.at(1, grey=True)
+
+    def grey_loss(view: View) -> float:
+        image = column_map(smoke.positions, smoke.edges, view)
+        look = grey_view(image, smoke.density, share, scene.gamma_w_shape, scene.exposure_shape)
+        return float(loss(look.over_grey(look.grey, scene.grey_mean), look.guide))
+
+    return run_tasks([partial(grey_loss, view) for view in views])
 
 
 def _timed(estimate: Callable[[], StepError | float]) -> Estimate:

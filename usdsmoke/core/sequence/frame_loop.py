@@ -16,13 +16,19 @@ from typing import TypeVar
 
 from torch import Tensor
 
-from usdsmoke.base.frame_report import FrameReport, StepReport, TemporalErrors, TransportReport
+from usdsmoke.base.frame_report import (
+    Estimate,
+    FrameReport,
+    StepReport,
+    TemporalErrors,
+    TransportReport,
+)
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.coherence import average_colours, average_displacement
 from usdsmoke.core.sequence.controls import network_alone
 from usdsmoke.core.sequence.cuts import judge_passage
-from usdsmoke.core.sequence.error_estimates import tail_figures
+from usdsmoke.core.sequence.error_estimates import tail_figures, unseen_views
 from usdsmoke.core.sequence.frame_state import (
     NO_STRENGTH,
     MovedFrame,
@@ -46,6 +52,7 @@ from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.light_share import picture_reports
 from usdsmoke.core.steps.move import displacement_of, move_density
 from usdsmoke.core.steps.optimize import Minimum
+from usdsmoke.core.steps.pictures import ColourView
 from usdsmoke.core.steps.shape import Start, max_displacement, run_shape_step
 
 Result = TypeVar("Result", bound=ShapedFrame)
@@ -207,6 +214,7 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
     started = time.perf_counter()
     before, report, is_cold = _connected(context, frame, before)
     painted, n_views = selected(frame.smoke, frame.mask), 0
+    unseen: Estimate | None = None
     if (known := context.known_of(frame)) is not None:
         colours = known.colours
     else:
@@ -219,18 +227,24 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
         frame.targets.prepare({"colour": iterations})
         watch = context.watch(frame.time_code)("colour", iterations)
         problem = frame.colour_problem()
+
+        def compare(views: Sequence[ColourView], colours: Tensor) -> None:
+            nonlocal unseen  # here, while the maps of the pool are there
+            unseen = None if context.alone else unseen_views(frame, colours, views)
+
         if context.generator is not None and paint is None and start is not None:
-            colours, ends, n_views = refine_painted(problem, iterations, start, watch)
+            colours, ends, n_views = refine_painted(problem, iterations, start, watch, compare)
         else:
             is_warm = start is not None  # also from the coarse step, as in the shape step
-            colours, ends = run_colour_step(problem, iterations, start, watch, is_warm)
+            colours, ends = run_colour_step(problem, iterations, start, watch, is_warm, compare)
         light, look = picture_reports(problem, painted, colours)
+        started += 0.0 if unseen is None else unseen.seconds
         ended = _report("colour", ends, frame, started, n_views)
         report = replace(report, light=light, look=look, colour=ended)
     kept = replace(frame.carried or Carried(frame.time_code), colours=colours)
     return advance(
         frame, PaintedFrame, painted=painted, colours=colours, carried=kept, report=report,
-        is_cold=is_cold, n_views=n_views,
+        is_cold=is_cold, n_views=n_views, unseen=unseen,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError
-from usdsmoke.base.frame_report import FrameReport, Progress, ProgressCallback
+from usdsmoke.base.frame_report import Estimate, FrameReport, Progress, ProgressCallback
 from usdsmoke.base.settings import Config
 from usdsmoke.base.storage import check_half
 from usdsmoke.base.volume import DenseField, Scattering, VolumeFrame
@@ -202,6 +202,7 @@ class PaintedFrame(MovedFrame):
     colours: Tensor | None = None  # display-encoded [N 3], of the painted voxels
     alone: bool = False  # the next frame takes nothing from this one
     n_views: int = 0  # that its last octave had; 0: ``views.pool``
+    unseen: Estimate | None = None  # of views outside the pool; None: not looked at yet
 
     @property
     def is_start(self) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from torch import Tensor
 
 from usdsmoke.core.smoke.schedule import network_views, pool_size
-from usdsmoke.core.steps.colour import run_colour_step
+from usdsmoke.core.steps.colour import Look, run_colour_step
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.targets import StepProblem
 
@@ -16,6 +16,7 @@ def refine_painted(
     iterations: Sequence[int],
     painted: Tensor,
     watch: Callable[[int, Minimum], None] | None = None,
+    look: Look | None = None,
 ) -> tuple[Tensor, list[Minimum], int]:
     """Colours of one frame that start from those of a network, one octave after the other.
 
@@ -23,7 +24,7 @@ def refine_painted(
     octaves, much is left to change, and steps are of the whole rate.
 
     Args:
-        problem, watch: as of ``run_colour_step``.
+        problem, watch, look: as of ``run_colour_step``.
         iterations: see ``network_iterations``.
         painted: display-encoded colours [N 3] of the painted voxels.
 
@@ -40,6 +41,6 @@ def refine_painted(
         n_views = network_views(config.views, n)
         own = replace(problem, config=config.replace(views=config.views.replace(pool=n_views)))
         octave = [n if place == number else 0 for place in range(len(iterations))]
-        painted, found = run_colour_step(own, octave, painted, watch, warm=True)
+        painted, found = run_colour_step(own, octave, painted, watch, True, look)
         ends += found
     return painted, ends, n_views

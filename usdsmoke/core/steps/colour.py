@@ -48,6 +48,8 @@ WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
 HUES_EVERY = 4  # iterations: the look-up takes a tenth as long as one
 
+Look = Callable[[Sequence[ColourView], Tensor], None]
+
 
 @dataclass(frozen=True)
 class ColourRules:
@@ -73,6 +75,7 @@ def run_colour_step(
     start: Tensor | None = None,
     watch: Callable[[int, Minimum], None] | None = None,
     warm: bool = False,
+    look: Look | None = None,
 ) -> tuple[Tensor, list[Minimum]]:
     """Colours of one frame, coarse to fine.
 
@@ -86,6 +89,8 @@ def run_colour_step(
         watch: called with the octave and the optimiser's state after every iteration.
         warm: the start is nearly right, such as a neighbour's result: ``colour.warm_rate`` of the
             learning rate, and steps that follow the gradient's size, see ``WARM_EPSILON``.
+        look: called after the octave of the smoke's own voxels, with the views that it has drawn
+            and the colours [N 3] of the painted voxels.
 
     Returns:
         Display-encoded colours [N 3] of the painted voxels, in [0, ``limit_of``], in the smoke's
@@ -122,6 +127,8 @@ def run_colour_step(
         if not warm:
             colours = _completed(pool.drawn(end.iteration + 1), here, colours, share, scene, factor)
         colours = rules.in_style(colours, begun if warm else None)
+        if look is not None and octave is smoke:
+            look(pool.drawn(end.iteration + 1), colours)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
         return _changed(painted, start, before, colours).clamp(0, limit), ends
     return _colours_on(painted, before, colours, problem), ends
