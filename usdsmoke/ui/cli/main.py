@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 from usdsmoke.base.errors import Interrupted, UsdSmokeError
-from usdsmoke.base.machine import check_packages, missing_package
+from usdsmoke.base.machine import check_packages, missing_package, prepare_numpy_environment
 
 _BROKEN_PIPE = 128 + 13
 
@@ -36,6 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments without the program's name; None takes the process's own.
     """
     words = sys.argv[1:] if argv is None else argv
+    prepare_numpy_environment()
     try:
         check_packages("numpy", "yaml", "pydantic", "rich")  # which the imports below need
     except UsdSmokeError as error:
