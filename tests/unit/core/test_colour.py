@@ -105,10 +105,13 @@ def test_the_straight_picture_of_thin_smoke_does_not_depend_on_how_thin_it_is():
 
 
 def test_smoke_as_thin_as_the_paper_s_is_painted_like_thick_smoke():
-    """The same colours in the thin limit, and nearly the loss that thick smoke gets."""
-    thick, faint, fainter = (thin_run(gamma, [20, 20]) for gamma in (0.3, 1e-3, 1e-9))
+    """The same colours in the thin limit, and nearly the loss that thick smoke gets.
+
+    After more iterations, what two thin runs differ by is the growth of their round-off.
+    """
+    thick, faint, fainter = (thin_run(gamma, [8, 8]) for gamma in (0.3, 1e-3, 1e-9))
     assert faint[2] == pytest.approx(thick[2], rel=0.15)
-    assert fainter[2] == pytest.approx(faint[2], rel=0.03)
+    assert fainter[2] == pytest.approx(faint[2], rel=0.01)
     assert (fainter[1] - faint[1]).abs().mean() < 0.02
 
 

@@ -6,9 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.fixtures.smoke_fixtures import frame_of, puff
-from tests.fixtures.stylize_fixtures import quick_config, run_core
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
+from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.frame_report import FrameErrors, FrameReport
+from usdsmoke.core.sequence.error_estimates import unseen_views
+from usdsmoke.core.sequence.frame_loop import run_frames
+from usdsmoke.core.sequence.frame_state import make_context
 from usdsmoke.runs.budget.light_findings import find_depth
 
 ALL_ROUND: Mapping[str, Any] = {"pool": 4, "image_size": 16}
@@ -33,6 +36,20 @@ def test_equal_views_are_not_compared_with_each_other() -> None:
 def test_views_on_a_line_are_compared(angles: Mapping[str, float]) -> None:
     report = report_of({**ALL_ROUND, **angles})
     assert report.errors.unseen_views is not None and report.last_step.view_spread is not None
+
+
+@pytest.mark.parametrize("colour", [{"iterations": [2, 8]}, {"iterations": [2, 0]}])
+def test_maps_of_the_pool_tell_the_same_as_maps_made_anew(colour: Mapping[str, Any]) -> None:
+    """Without iterations of the finest octave there are none of the pool."""
+    config = quick_config(views=ALL_ROUND, optimize={"error_budget": True}, colour=colour)
+    frames = [frame_of(puff(10))]
+    context = make_context([random_style()], scene_of(frames, config), config, None, 24.0, None, 1)
+    (frame,) = run_frames(frames, context)
+    (report,) = (done.report for done in run_core(frames, config))
+    again = unseen_views(frame, frame.colours)
+    assert (frame.unseen is None) == (colour["iterations"][-1] == 0)
+    assert again is not None and again.value > 0 and report.errors.unseen_views is not None
+    assert report.errors.unseen_views.value == pytest.approx(again.value, rel=1e-3)
 
 
 def test_the_opacity_of_a_frame_is_known_without_a_budget_too() -> None:

@@ -74,7 +74,8 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
             quadrature = _timed(lambda: quadrature_error(painted, view, gamma_w, picture))
         resolution = _timed(lambda: resolution_error(painted, view, gamma_w, picture))
         filtered = _timed(lambda: pixel_filter_error(painted, view, gamma_w, picture))
-    unseen = frame.unseen or unseen_views(frame, frame.colours, n_views=frame.n_views)
+    colours = None if frame.paint is None else frame.paint[1]
+    unseen = frame.unseen or unseen_views(frame, colours, n_views=frame.n_views)
     return FrameErrors(quadrature, resolution, filtered, unseen)
 
 
