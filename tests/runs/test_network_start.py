@@ -173,10 +173,12 @@ def test_a_run_without_iterations_needs_a_network_that_can_be_read(shot: Shot) -
         plan(shot.stage, shot.style, shot.output, {"optimize.start": "/none.safetensors"})
 
 
-def test_the_plan_tells_that_the_finest_octave_alone_follows_the_network(shot: Shot) -> None:
+def test_the_plan_tells_how_many_iterations_follow_the_network(shot: Shot) -> None:
     network = shot.folder / "a.safetensors"
     network.write_bytes(Generator.new(torch.full((3,), 0.5), 0).to_bytes({}))
-    told = plan(shot.stage, shot.style, shot.output, {"optimize.start": str(network)})
-    assert any(
-        "colour step with 65 iterations behind a network" in sentence for sentence in told.needed
-    )
+    for values, count in (({}, 16), ({"colour.iterations": [0, 0, 65]}, 65)):
+        settings = {"optimize.start": str(network), **values}
+        told = plan(shot.stage, shot.style, shot.output, settings)
+        assert any(
+            f"colour step with {count} iterations behind a network" in t for t in told.needed
+        )

@@ -294,8 +294,9 @@ class OptimizeConfig(Section):
         unit="iterations", request="iterations")
     start: str = setting(
         "", "network that frames without a neighbour start from: a file that 'usdsmoke train' "
-        "wrote, or network for one that the run trains first; they have the finest "
-        "octave's iterations alone; default: such frames start from noise")
+        "wrote, or network for one that the run trains first; they have a quarter of the finest "
+        "octave's iterations, or all of them where other octaves have none; default: such frames "
+        "start from noise")
     tolerance: float = setting(
         2e-3, "stopping threshold of the optimiser. A loss that falls by less than this share over "
         "a quarter of an octave is a plateau; the learning rate then falls early, and the octave "

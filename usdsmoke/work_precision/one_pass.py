@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _N_FRAMES = 8  # the measured one among them
 _COLD = (1.0, 0.5, 0.25, 0.125)  # of the iterations
-_AFTER = (0, 8, 32, 64)  # iterations at full resolution
+_AFTER = (0, 8, 16, 32)  # iterations at full resolution
 
 
 def _applies(case: Case) -> str:
