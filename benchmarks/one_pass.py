@@ -218,7 +218,7 @@ def _curves(
         own = _config(max(other.density.values.shape))
         problem = _problem(other, style, _measure([other], own), own)
         work = problem, trained.generator, Ways()
-        yield from _rows(f"{name}, {what}", (other, style), work, gallery, given)
+        yield from _rows(f"{name}, {what}, unseen", (other, style), work, None, given)
     if given.own and REAL in others:
         yield from _own(name, style, others[REAL], Ways(cold=()), gallery, given)
     if given.shown and name == Path(given.styles[0]).stem:
@@ -255,20 +255,21 @@ def _rows(
     where: str,
     pair: tuple[VolumeFrame, np.ndarray],
     work: tuple[StepProblem, Generator, Ways],
-    gallery: Gallery,
+    gallery: Gallery | None,
     given: argparse.Namespace,
 ) -> Iterator[str]:
     (frame, style), (problem, generator, ways) = pair, work
     scene, config, smoke = problem.scene, problem.config, problem.smoke
     judge = Judge(frame, style, scene, config, "colour", MEASURES)
     place = tuple((smoke.ijk.numpy() - np.asarray(frame.density.ijk_min)).T)
-    gallery.add_style(where, style)
+    if gallery is not None:
+        gallery.add_style(where, style)
 
     def score(way: str, colours: torch.Tensor) -> tuple[float, ...]:
         light = np.zeros((*frame.density.values.shape, 3), np.float32)
         light[place] = decode_srgb(colours) * (scene.gamma_w * smoke.density)[:, None]
         emission = replace(frame.density, name="emission", values=light, background=(0.0,) * 3)
-        if given.picture:
+        if given.picture and gallery is not None:
             gallery.add(where, way, frame.density, emission, scene)
         closures = judge(frame.density, emission).closures
         return tuple(closures[name] for name in MEASURES if name in closures)  # small ones: none

@@ -66,6 +66,7 @@ class Gallery:
 def draw_curves(page: Path, file_path: Path) -> None:
     """Loss against CPU seconds, a diagram for each smoke of a page that the benchmark wrote."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     curves = _read_curves(page.read_text())
     n_columns = min(len(curves), 3)
@@ -75,6 +76,7 @@ def draw_curves(page: Path, file_path: Path) -> None:
         axes = figure.add_subplot(n_rows, n_columns, number + 1)
         axes.set_title(smoke, fontsize=9)
         axes.set_xscale("log")
+        axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel("CPU seconds", fontsize=8)
         axes.set_ylabel("style loss of unseen views", fontsize=8)
         for kind, points in ways.items():
@@ -91,7 +93,7 @@ def _read_curves(text: str) -> dict[str, dict[str, list[tuple[float, float, str]
     curves: dict[str, dict[str, list[tuple[float, float, str]]]] = {}
     for line in text.splitlines():
         cells = [cell.strip() for cell in line.strip("| ").split("|")]
-        if len(cells) < 4 or "voxels" not in cells[0]:
+        if len(cells) < 4 or "voxels" not in cells[0] or "unseen" in cells[0]:
             continue
         found = re.fullmatch(r"(cold|network|neighbour)\D*(\d*).*", cells[1])
         if found is not None:
