@@ -359,7 +359,7 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
     ]
     found += [
         f"the frames of <{volume.source.prim_path}> start cold: {_network_text(volume)} does not "
-        f"suit them. On a part of one, {scene['misfit']}"
+        f"suit them. On one of them, {scene['misfit']}"
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         if scene.get("misfit")
     ]
