@@ -210,6 +210,29 @@ def test_behind_a_network_large_frames_are_refined_on_larger_voxels_first(
     assert done == [(8,), (6, 2)]
 
 
+def border_contrast(colours: torch.Tensor, ijk: torch.Tensor, size: int, n: int) -> list[float]:
+    """Along each axis of a cube of n^3 voxels, away from its faces: the mean difference of two
+    voxels beside each other across borders of blocks, in that of two within a block."""
+    cube, found = colours.view(n, n, n, 3), []
+    for axis in range(3):
+        steps = cube.diff(dim=axis).abs().mean(-1)
+        middle = tuple(slice(8, n - 9) for _ in range(3))
+        is_first = ijk.view(n, n, n, 3)[..., axis].narrow(axis, 1, n - 1)[middle] % size == 0
+        found.append(float(steps[middle][is_first].mean() / steps[middle][~is_first].mean()))
+    return found
+
+
+@pytest.mark.parametrize("size", [2, 4, 8, 16])
+def test_painted_smoke_has_no_seams_at_borders_of_blocks(trained: Trained, size: int) -> None:
+    """Levels of the network have voxels of these sizes, aligned to absolute indices."""
+    n, seams = 40, torch.tensor([0.03])
+    smoke = smoke_of(np.full((n, n, n), 1.0, np.float32))
+    colours = trained.generator.paint(smoke, SCENE.gamma_w, 0)
+    assert max(border_contrast(colours, smoke.ijk, size, n)) < 1.1
+    checkered = torch.div(smoke.ijk, size, rounding_mode="floor").sum(1, keepdim=True) % 2
+    assert min(border_contrast(colours + seams * checkered, smoke.ijk, size, n)) > 1.1
+
+
 def test_what_is_finer_than_an_octave_behind_a_network_stays(trained: Trained) -> None:
     problem = problem_of(puff(16))
     values = {"views.pool": 16, "optimize.tolerance": 0.0}
