@@ -200,9 +200,9 @@ def test_starts_from_noise_the_neighbour_and_a_network_are_compared(
         for task in one_pass.plan(case).tasks
         if task.curve != "noise"
     }
-    assert {"network", "network + 64"} < errors.keys()
+    assert {"network", "network + 32"} < errors.keys()
     assert any(label.startswith("neighbour") for label in errors)
-    assert 0 < errors["network + 64"] <= errors["network"] < 1
+    assert 0 < errors["network + 32"] <= errors["network"] < 1
 
 
 @pytest.mark.usefixtures("quick_grids")

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.frame_report import SHORTEST_WAY, Estimate, FrameErrors
+from usdsmoke.base.frame_report import SHORTEST_WAY, Estimate, FrameErrors, StepReport
 from usdsmoke.base.sections import OpticsConfig
 from usdsmoke.core.fields.richardson import StepError
 from usdsmoke.core.sequence.frame_state import MovedFrame, OpenedFrame, PaintedFrame
@@ -27,7 +27,7 @@ from usdsmoke.core.sequence.picture_errors import (
     resolution_error,
 )
 from usdsmoke.core.smoke.levels import bounded
-from usdsmoke.core.smoke.schedule import has_one_view, view_ranges
+from usdsmoke.core.smoke.schedule import has_one_view, pool_size, view_ranges
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.smoke.voxels import FLOOR_TIMES
@@ -193,6 +193,23 @@ def tail_figures(step: str, ends: Sequence[Minimum], pool: int, count: int) -> d
         "way": way,
     }
     return {name: value for name, value in found.items() if math.isfinite(value)}
+
+
+def step_report(
+    step: str, ends: Sequence[Minimum], frame: OpenedFrame, started: float, n_views: int = 0
+) -> StepReport:
+    """How the octaves of a step ended; ``n_views`` as of ``PaintedFrame``."""
+    views = frame.config.views
+    pool = n_views or pool_size(views, frame.source.thin_axis is not None)
+    return StepReport(
+        seconds=time.perf_counter() - started,
+        loss=tuple(end.smoothed for end in ends),
+        iterations=tuple(end.iteration + 1 for end in ends),
+        rollbacks=sum(end.rollbacks for end in ends),
+        restored=sum(end.restored for end in ends),
+        ended=tuple(end.reason for end in ends),
+        **tail_figures(step, ends, pool, views.count),
+    )
 
 
 def painted_frame(frame: PaintedFrame, view: View) -> Painted:

@@ -16,19 +16,13 @@ from typing import TypeVar
 
 from torch import Tensor
 
-from usdsmoke.base.frame_report import (
-    Estimate,
-    FrameReport,
-    StepReport,
-    TemporalErrors,
-    TransportReport,
-)
+from usdsmoke.base.frame_report import Estimate, FrameReport, TemporalErrors, TransportReport
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.sequence.coherence import average_colours, average_displacement
 from usdsmoke.core.sequence.controls import network_alone
 from usdsmoke.core.sequence.cuts import judge_passage
-from usdsmoke.core.sequence.error_estimates import tail_figures, unseen_views
+from usdsmoke.core.sequence.error_estimates import step_report, unseen_views
 from usdsmoke.core.sequence.frame_state import (
     NO_STRENGTH,
     MovedFrame,
@@ -46,12 +40,10 @@ from usdsmoke.core.sequence.start import Carried, start_colours, start_displacem
 from usdsmoke.core.sequence.steadiness import Steadiness
 from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
-from usdsmoke.core.smoke.schedule import pool_size
 from usdsmoke.core.steps.behind import refine_painted
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.light_share import picture_reports
 from usdsmoke.core.steps.move import displacement_of, move_density
-from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.pictures import ColourView
 from usdsmoke.core.steps.shape import Start, max_displacement, run_shape_step
 
@@ -157,7 +149,7 @@ def _shape(context: WindowContext, frame: OpenedFrame, before: ShapedFrame | Non
         steadiness = 0.0 if start is None else config.windows.steadiness
         problem = frame.problem(frame.source)
         unclamped, ends = run_shape_step(problem, iterations, start, watch, rate_share, steadiness)
-        report = replace(report, shape=_report("shape", ends, frame, started))
+        report = replace(report, shape=step_report("shape", ends, frame, started))
     kept = Carried(frame.time_code, unclamped)
     return advance(
         frame, ShapedFrame, unclamped=unclamped, carried=kept, report=report, is_cold=is_cold
@@ -239,7 +231,7 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
             colours, ends = run_colour_step(problem, iterations, start, watch, is_warm, compare)
         light, look = picture_reports(problem, painted, colours)
         started += 0.0 if unseen is None else unseen.seconds
-        ended = _report("colour", ends, frame, started, n_views)
+        ended = step_report("colour", ends, frame, started, n_views)
         report = replace(report, light=light, look=look, colour=ended)
     kept = replace(frame.carried or Carried(frame.time_code), colours=colours)
     return advance(
@@ -393,20 +385,3 @@ def _with_next(frames: Iterator[Phase]) -> Iterator[tuple[Phase, Phase | None]]:
             yield waiting.popleft(), waiting[0]
     if waiting:
         yield waiting.popleft(), None
-
-
-def _report(
-    step: str, ends: Sequence[Minimum], frame: OpenedFrame, started: float, n_views: int = 0
-) -> StepReport:
-    """How the octaves of a step ended; ``n_views`` as of ``PaintedFrame``."""
-    views = frame.config.views
-    pool = n_views or pool_size(views, frame.source.thin_axis is not None)
-    return StepReport(
-        seconds=time.perf_counter() - started,
-        loss=tuple(end.smoothed for end in ends),
-        iterations=tuple(end.iteration + 1 for end in ends),
-        rollbacks=sum(end.rollbacks for end in ends),
-        restored=sum(end.restored for end in ends),
-        ended=tuple(end.reason for end in ends),
-        **tail_figures(step, ends, pool, views.count),
-    )

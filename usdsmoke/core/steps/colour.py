@@ -89,8 +89,7 @@ def run_colour_step(
         watch: called with the octave and the optimiser's state after every iteration.
         warm: the start is nearly right, such as a neighbour's result: ``colour.warm_rate`` of the
             learning rate, and steps that follow the gradient's size, see ``WARM_EPSILON``.
-        look: called after the octave of the smoke's own voxels, with the views that it has drawn
-            and the colours [N 3] of the painted voxels.
+        look: called with the views of the octave of the smoke's own voxels, and its colours [N 3].
 
     Returns:
         Display-encoded colours [N 3] of the painted voxels, in [0, ``limit_of``], in the smoke's
@@ -100,10 +99,8 @@ def run_colour_step(
     painted = painted_part(problem)
     epsilon = WARM_EPSILON if warm else Adam.epsilon
     rate = config.colour.learning_rate * (config.colour.warm_rate if warm else 1.0)
-    limit = limit_of(problem)
-    start = None if start is None else start.clamp(0, limit)
-    colours, before = start, painted
-    ends: list[Minimum] = []
+    start = None if start is None else start.clamp(0, limit_of(problem))
+    colours, before, ends = start, painted, list[Minimum]()
     # blocks of voxels: one opaque voxel would make all of its coarse one opaque
     limited = bounded(smoke)
     octaves = octaves_to_do(limited, iterations, scene.pixel_size)
@@ -114,13 +111,13 @@ def run_colour_step(
         if len(here.ijk) == 0:  # the mask is finer than this octave
             continue
         pool = colour_pool(replace(problem, smoke=octave), factor, config.optimize.seed + number)
-        begun = _colours_on(here, before, colours, problem)
+        begun, before = _colours_on(here, before, colours, problem), here
         descent = Descent(rate, n_iterations, config.optimize.tolerance, epsilon)
-        told = None if watch is None else partial(watch, number)
         rules = _rules(problem, here, begun if warm else None)
         loss, background = problem.targets.at(factor), problem.targets.background
-        colours, end = optimize_colours(pool, begun, loss, background, descent, told, rules)
-        before = here
+        colours, end = optimize_colours(
+            pool, begun, loss, background, descent, watch and partial(watch, number), rules
+        )
         if end is None:
             continue
         ends.append(end)
@@ -130,7 +127,7 @@ def run_colour_step(
         if look is not None and octave is smoke:
             look(pool.drawn(end.iteration + 1), colours)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
-        return _changed(painted, start, before, colours).clamp(0, limit), ends
+        return _changed(painted, start, before, colours).clamp(0, limit_of(problem)), ends
     return _colours_on(painted, before, colours, problem), ends
 
 
