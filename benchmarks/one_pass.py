@@ -202,7 +202,7 @@ def _curves(
     name: str,
     frames: Sequence[VolumeFrame],
     others: Mapping[str, VolumeFrame],
-    gallery: Gallery,
+    gallery: Gallery | None,
     given: argparse.Namespace,
 ) -> Iterator[str]:
     """The lines of the table for a style: an image file, or the name of an example."""
@@ -230,7 +230,7 @@ def _own(
     style: np.ndarray,
     frame: VolumeFrame,
     ways: Ways,
-    gallery: Gallery,
+    gallery: Gallery | None,
     given: argparse.Namespace,
 ) -> Iterator[str]:
     """The real plume with a network that is trained on it, a shot of one frame."""
@@ -269,7 +269,7 @@ def _rows(
         light = np.zeros((*frame.density.values.shape, 3), np.float32)
         light[place] = decode_srgb(colours) * (scene.gamma_w * smoke.density)[:, None]
         emission = replace(frame.density, name="emission", values=light, background=(0.0,) * 3)
-        if given.picture and gallery is not None:
+        if gallery is not None:
             gallery.add(where, way, frame.density, emission, scene)
         closures = judge(frame.density, emission).closures
         return tuple(closures[name] for name in MEASURES if name in closures)  # small ones: none
@@ -371,7 +371,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--report", type=Path, help="write the page here")
     given = parser.parse_args(arguments)
     share_among(1)
-    file_path, lines, gallery = given.data / PLUME_FILE, list[str](), Gallery()
+    file_path, lines = given.data / PLUME_FILE, list[str]()
+    gallery = Gallery() if given.picture else None
     if given.large:
         frame = read_real_plume(file_path, sys.maxsize)
         work = [(Path(name).stem, _read_style(name), frame) for name in given.styles]
@@ -388,7 +389,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for line in lines_of():
             print(line, file=sys.stderr, flush=True)
             lines.append(line)
-        if given.picture and gallery.rows:
+        if gallery is not None and gallery.rows:
             gallery.save(given.picture)
     columns = ["style, smoke", "start", "loss", "CPU s", f"of cold, {sum(COLD[-1])}", *MEASURES]
     own = sys.argv[1:] if arguments is None else arguments

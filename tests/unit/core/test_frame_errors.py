@@ -46,7 +46,7 @@ def test_maps_of_the_pool_tell_the_same_as_maps_made_anew(colour: Mapping[str, A
     context = make_context([random_style()], scene_of(frames, config), config, None, 24.0, None, 1)
     (frame,) = run_frames(frames, context)
     (report,) = (done.report for done in run_core(frames, config))
-    again = unseen_views(frame, frame.colours)
+    again = unseen_views(frame, frame.colour_problem(), frame.colours)
     assert (frame.unseen is None) == (colour["iterations"][-1] == 0)
     assert again is not None and again.value > 0 and report.errors.unseen_views is not None
     assert report.errors.unseen_views.value == pytest.approx(again.value, rel=1e-3)

@@ -18,7 +18,7 @@ from torch import Tensor
 from usdsmoke.base.frame_report import SHORTEST_WAY, Estimate, FrameErrors, StepReport
 from usdsmoke.base.sections import OpticsConfig
 from usdsmoke.core.fields.richardson import StepError
-from usdsmoke.core.sequence.frame_state import MovedFrame, OpenedFrame, PaintedFrame
+from usdsmoke.core.sequence.frame_state import OpenedFrame, PaintedFrame
 from usdsmoke.core.sequence.picture_errors import (
     Painted,
     fit_blocks,
@@ -35,6 +35,7 @@ from usdsmoke.core.steps.colour import FAINT
 from usdsmoke.core.steps.loss_tail import likely_difference, remaining_decrease, spread_of_mean
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.pictures import ColourView, grey_view, prepare_views
+from usdsmoke.core.steps.targets import StepProblem
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import frame_views, thick_column
@@ -75,12 +76,19 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
         resolution = _timed(lambda: resolution_error(painted, view, gamma_w, picture))
         filtered = _timed(lambda: pixel_filter_error(painted, view, gamma_w, picture))
     colours = None if frame.paint is None else frame.paint[1]
-    unseen = frame.unseen or unseen_views(frame, colours, n_views=frame.n_views)
+    unseen = frame.unseen
+    if unseen is None:
+        problem = frame.problem(frame.smoke) if colours is None else frame.colour_problem()
+        unseen = unseen_views(frame, problem, colours, n_views=frame.n_views)
     return FrameErrors(quadrature, resolution, filtered, unseen)
 
 
 def unseen_views(
-    frame: MovedFrame, colours: Tensor | None, seen: Sequence[ColourView] = (), n_views: int = 0
+    frame: OpenedFrame,
+    problem: StepProblem,
+    colours: Tensor | None,
+    seen: Sequence[ColourView] = (),
+    n_views: int = 0,
 ) -> Estimate | None:
     """How far the style loss of views nobody optimised differs from that of optimised ones.
 
@@ -88,6 +96,7 @@ def unseen_views(
 
     Args:
         frame: with its density moved.
+        problem: of its last step.
         colours: display-encoded [N 3], of the painted voxels; None: the grey pictures are compared.
         seen: views that the colours were optimised with; without any they are made anew.
         n_views: that the last octave had; 0: ``views.pool``.
@@ -103,9 +112,9 @@ def unseen_views(
         again = [] if seen else _spread(_views(frame, n_views or config.views.pool, seed))
         made = [*again, *unseen]
         if colours is None:
-            losses = _grey_losses(frame, made)
+            losses = _grey_losses(problem, made)
         else:
-            losses = _colour_losses(frame, colours, [*_spread(seen), *_looks(frame, made)])
+            losses = _colour_losses(problem, colours, [*_spread(seen), *_looks(problem, made)])
         return likely_difference(losses[:-N_UNSEEN], losses[-N_UNSEEN:])
 
     with torch.no_grad():
@@ -230,8 +239,8 @@ def painted_frame(frame: PaintedFrame, view: View) -> Painted:
     return Painted(smoke, light)
 
 
-def _share(frame: OpenedFrame) -> Tensor | None:
-    return None if frame.mask is None else frame.mask.at(frame.smoke.positions)
+def _share(of: OpenedFrame | StepProblem) -> Tensor | None:
+    return None if of.mask is None else of.mask.at(of.smoke.positions)
 
 
 def _views(frame: OpenedFrame, pool: int, seed: int, sampling: str | None = None) -> list[View]:
@@ -246,27 +255,30 @@ def _spread(views: Sequence[Item]) -> Sequence[Item]:
     return views[:: max(1, len(views) // N_SEEN)][:N_SEEN]
 
 
-def _looks(frame: MovedFrame, views: Sequence[View]) -> Sequence[ColourView]:
-    """The maps of the frame's painted voxels, made as in the colour step."""
-    smoke, scene = frame.smoke, frame.scene
-    made = prepare_views(
-        smoke, views, scene.gamma_w, scene.exposure, _share(frame), frame.lighting(), FAINT
-    )
-    return run_tasks([partial(made.__getitem__, number) for number in range(len(views))])
+def _looks(problem: StepProblem, views: Sequence[View]) -> Sequence[ColourView]:
+    """The maps of the painted voxels, made as in the colour step."""
+    smoke, scene, share = problem.smoke, problem.scene, _share(problem)
+    lighting = problem.lighting
+    made = prepare_views(smoke, views, scene.gamma_w, scene.exposure, share, lighting, FAINT)
+    made.prepare(range(len(views)))
+    return made
 
 
-def _colour_losses(frame: MovedFrame, colours: Tensor, looks: Sequence[ColourView]) -> list[float]:
-    loss, behind, linear = frame.targets.at(1), frame.targets.background, decode_srgb(colours)
+def _colour_losses(
+    problem: StepProblem, colours: Tensor, looks: Sequence[ColourView]
+) -> list[float]:
+    targets, linear = problem.targets, decode_srgb(colours)
+    loss = targets.at(1)
 
     def colour_loss(look: ColourView) -> float:
-        return float(loss(look.unpremultiplied(linear, behind), look.guide))
+        return float(loss(look.unpremultiplied(linear, targets.background), look.guide))
 
     return run_tasks([partial(colour_loss, look) for look in looks])
 
 
-def _grey_losses(frame: MovedFrame, views: Sequence[View]) -> list[float]:
-    smoke, scene, share = frame.smoke, frame.scene, _share(frame)
-    loss = frame.targets.at(1, grey=True)
+def _grey_losses(problem: StepProblem, views: Sequence[View]) -> list[float]:
+    smoke, scene, share = problem.smoke, problem.scene, _share(problem)
+    loss = problem.targets.at(1, grey=True)
 
     def grey_loss(view: View) -> float:
         image = column_map(smoke.positions, smoke.edges, view)

@@ -222,7 +222,7 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
 
         def compare(views: Sequence[ColourView], colours: Tensor) -> None:
             nonlocal unseen  # here, while the maps of the pool are there
-            unseen = None if context.alone else unseen_views(frame, colours, views)
+            unseen = None if context.alone else unseen_views(frame, problem, colours, views)
 
         if context.generator is not None and paint is None and start is not None:
             colours, ends, n_views = refine_painted(problem, iterations, start, watch, compare)

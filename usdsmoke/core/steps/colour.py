@@ -111,13 +111,13 @@ def run_colour_step(
         if len(here.ijk) == 0:  # the mask is finer than this octave
             continue
         pool = colour_pool(replace(problem, smoke=octave), factor, config.optimize.seed + number)
-        begun, before = _colours_on(here, before, colours, problem), here
+        begun = _colours_on(here, before, colours, problem)
         descent = Descent(rate, n_iterations, config.optimize.tolerance, epsilon)
+        told = None if watch is None else partial(watch, number)
         rules = _rules(problem, here, begun if warm else None)
         loss, background = problem.targets.at(factor), problem.targets.background
-        colours, end = optimize_colours(
-            pool, begun, loss, background, descent, watch and partial(watch, number), rules
-        )
+        colours, end = optimize_colours(pool, begun, loss, background, descent, told, rules)
+        before = here
         if end is None:
             continue
         ends.append(end)

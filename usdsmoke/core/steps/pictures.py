@@ -170,7 +170,7 @@ def prepare_views(
     share: Tensor | None = None,
     lighting: Lighting | None = None,
     faint: float = 0.0,
-) -> Sequence[ColourView]:
+) -> LazyList[ColourView]:
     """The linear maps of all views of one octave, each made when it is first used.
 
     Args:
