@@ -156,13 +156,13 @@ def test_a_style_of_one_colour_paints_the_smoke_in_it(smoke, views):
 
 def test_views_take_turns_and_several_can_be_seen_at_once(smoke, views, monkeypatch):
     seen: list[int] = []
-    real = ColourView.unpremultiplied
+    real = ColourView.over
 
     def noted(self: ColourView, *args: torch.Tensor) -> torch.Tensor:
         seen.append([view.alpha is self.alpha for view in views].index(True))
         return real(self, *args)
 
-    monkeypatch.setattr(ColourView, "unpremultiplied", noted)
+    monkeypatch.setattr(ColourView, "over", noted)
     targets = targets_of(config_of())
     start = initial_colours(smoke, "noise", 0)
     for n_views in (1, 2):

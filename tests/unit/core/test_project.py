@@ -10,10 +10,11 @@ from torch import Tensor
 from tests.fixtures.camera_fixtures import camera_picture
 from tests.fixtures.smoke_fixtures import affine, puff, smoke_of
 from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.views import project
+from usdsmoke.core.views import project, sparse_image
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.optics import MOST_CELLS, Slabs
-from usdsmoke.core.views.project import SparseImage, colour_map, column_map
+from usdsmoke.core.views.project import colour_map, column_map
+from usdsmoke.core.views.sparse_image import SparseImage
 
 KINDS = ["orthographic", "perspective"]
 PLACES = [(0, False), (1, False), (2, True), (3, True)]  # seeds of transforms, mirrored or not
@@ -60,12 +61,12 @@ def test_adjoint_is_exact_in_any_view_and_transform(kind, seed, mirrored):
 @pytest.mark.parametrize("most", [3, 1000])
 def test_a_picture_is_added_up_from_parts_of_the_voxels(most, monkeypatch):
     smoke = smoke_of(puff(9), affine(0))
-    monkeypatch.setattr(project, "MOST_SUMS", most)
+    monkeypatch.setattr(sparse_image, "MOST_SUMS", most)
     for image in maps_of(smoke, look_at(smoke, "orthographic")):
         x = random(len(smoke.ijk), 3)
         whole = image.apply(x)
         with monkeypatch.context() as parts:
-            parts.setattr(project, "SCATTERED_ROWS", 50)
+            parts.setattr(sparse_image, "SCATTERED_ROWS", 50)
             assert torch.allclose(image.apply(x), whole, rtol=1e-12, atol=1e-14)
 
 
@@ -293,31 +294,32 @@ def test_sums_over_sorted_runs_are_those_entry_by_entry():
 def test_without_faint_voxels_the_picture_lacks_their_light_alone(kind):
     smoke = smoke_of(puff(12), affine(1))
     view, share = look_at(smoke, kind), 1e-3
-    image, alpha = colour_map(
-        smoke.positions, smoke.density, smoke.edges, 3.0, view, smoke.voxel_size
-    )
+    place = smoke.positions, smoke.density, smoke.edges, 3.0, view, smoke.voxel_size
+    image, alpha = colour_map(*place)
+    left, same = colour_map(*place, faint=share)
+    assert torch.equal(same, alpha)
     white = torch.ones(len(smoke.ijk), 1)
-    before, total = image.apply(white)[..., 0], image.total_weights()
-    weight, pixel, rows = image.weight.clone(), image.pixel.clone(), image.rows.clone()
-    left = image.without_faint(share * alpha)
-    after = left.apply(white)[..., 0]
-    assert 0.1 * len(rows) < len(left.rows) < 0.9 * len(rows)
+    before, after = (of.apply(white)[..., 0] for of in (image, left))
+    assert 0.1 * len(image.rows) < len(left.rows) < 0.9 * len(image.rows)
     assert (after <= before + 1e-6).all()
-    gone = ~torch.isin(rows, left.rows)
+    gone = ~torch.isin(image.rows, left.rows)
     light = torch.bincount(
-        pixel[gone].reshape(-1), weight[gone].reshape(-1), minlength=before.numel()
+        image.pixel[gone].reshape(-1), image.weight[gone].reshape(-1), minlength=before.numel()
     )
     assert torch.allclose(before - after, light.view(before.shape), atol=1e-5)
-    kept = left.total_weights()
-    assert torch.allclose(kept[left.rows], total[left.rows]) and (kept[rows[gone]] == 0).all()
-    brightest = torch.zeros(len(smoke.ijk)).index_copy_(0, rows, weight.amax(1))
-    assert (brightest[rows[gone]] <= 2 * share * alpha.max()).all()
+    kept, total = left.total_weights(), image.total_weights()
+    assert torch.equal(kept[left.rows], total[left.rows])
+    assert (kept[image.rows[gone]] == 0).all()
+    assert (image.weight[gone].amax(1) <= 2 * share * alpha.max()).all()
 
 
-def test_no_voxel_is_faint_for_a_threshold_of_nothing():
-    smoke = smoke_of(puff(9))
-    for image in maps_of(smoke, look_at(smoke, "orthographic")):
-        x = random(len(smoke.ijk), 3)
-        whole = image.apply(x)
-        nothing = -torch.ones(image.height, image.width, dtype=torch.float64)
-        assert torch.equal(image.without_faint(nothing).apply(x), whole)
+@pytest.mark.parametrize("kind", KINDS)
+def test_whether_a_voxel_is_faint_does_not_depend_on_its_share_of_the_light(kind):
+    smoke = smoke_of(puff(12), affine(1))
+    place = smoke.positions, smoke.density, smoke.edges, 3.0, look_at(smoke, kind), 1.0
+    whole, _ = colour_map(*place, faint=1e-3)
+    part = torch.rand(len(smoke.ijk), generator=torch.Generator().manual_seed(0))
+    part[::3] = 0
+    masked, _ = colour_map(*place, part, faint=1e-3)
+    painted = torch.cumsum(part > 0, 0) - 1
+    assert torch.equal(masked.rows, painted[whole.rows[part[whole.rows] > 0]])

@@ -1,5 +1,6 @@
 """Work in bounded memory: long tensors in chunks, lazy lists, sums whose graph is freed by term."""
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any, Generic, TypeVar, cast, overload
@@ -45,42 +46,42 @@ def elementwise(work: Callable[..., Tensor], first: Tensor, *others: Tensor) -> 
     return found.view(first.shape)
 
 
-def weighted_rows(
-    table: Tensor,
-    index: Tensor,
-    start: Tensor,
-    weight: Tensor,
-    rows: tuple[Tensor, int] | None = None,
-) -> Tensor:
+def weighted_rows(table: Tensor, index: Tensor, start: Tensor, weight: Tensor) -> Tensor:
     """Weighted sums of rows of a table [n C], each over a run of entries, [m C]; no gradients.
 
     Args:
         index: [E], the row that an entry reads.
         start: [m], the first entry of each sum.
         weight: [E].
-        rows: [m], where each sum stands in the result, and the result's length; zero elsewhere.
     """
     table, m = table.contiguous(), len(start)
-    found = (
-        table.new_empty(m, table.shape[1])
-        if rows is None
-        else table.new_zeros(rows[1], table.shape[1])
-    )
+    found = table.new_empty(m, table.shape[1])
 
     def add(part: slice) -> None:
         first = int(start[part.start]) if part.start else 0
         last = int(start[part.stop]) if part.stop < m else len(index)
-        sums = F.embedding_bag(
-            index[first:last], table, start[part] - first, mode="sum",
-            per_sample_weights=weight[first:last],
-        )  # fmt: skip
-        if rows is None:
-            found[part] = sums
-        else:
-            found.index_copy_(0, rows[0][part], sums)
+        entries, runs, weights = index[first:last], start[part] - first, weight[first:last]
+        if table.device.type == "cpu":
+            found[part] = _sparse_rows(runs, entries, weights, len(table)) @ table
+        else:  # in a fixed order
+            found[part] = F.embedding_bag(
+                entries, table, runs, mode="sum", per_sample_weights=weights
+            )
 
     share_rows(add, m, SHARED_ROWS, table.device)
     return found
+
+
+def _sparse_rows(start: Tensor, column: Tensor, weight: Tensor, n_columns: int) -> Tensor:
+    """A sparse matrix by its rows; its product takes half the time of ``embedding_bag``."""
+    ends = torch.cat([start, start.new_tensor([len(column)])])
+    size = (len(start), n_columns)
+    return torch.sparse_csr_tensor(ends, column, weight, size=size, check_invariants=False)
+
+
+with warnings.catch_warnings():  # torch tells once that its sparse matrices may change
+    warnings.simplefilter("ignore")
+    _sparse_rows(torch.tensor([0]), torch.tensor([0]), torch.zeros(1), 1)
 
 
 class LazyList(Sequence[Item], Generic[Item]):

@@ -28,7 +28,7 @@ from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import SHARED_ROWS, LazyList, share_rows
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.spread import blend_chroma, spread_colours
-from usdsmoke.core.smoke.srgb import BRIGHTEST, decode_srgb, encode_srgb, luma
+from usdsmoke.core.smoke.srgb import BRIGHTEST, encode_srgb, luma
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
@@ -220,11 +220,10 @@ def pictures_loss(
     Gradients: through ``colours``.
     """
 
-    def view_loss(view: ColourView, linear: Tensor) -> Tensor:
-        picture = view.unpremultiplied(linear, background)
-        return loss(picture, view.guide, view.content, iteration)
+    def view_loss(view: ColourView, encoded: Tensor) -> Tensor:
+        return loss(view.picture(encoded, background), view.guide, view.content, iteration)
 
-    return pool.mean_loss(decode_srgb(colours), iteration, view_loss)
+    return pool.mean_loss(colours, iteration, view_loss)
 
 
 def painted_part(problem: StepProblem) -> ActiveSmoke:
@@ -372,9 +371,11 @@ def _colours_on(
     """
     if before is octave and colours is not None:
         return colours
-    config = problem.config
-    fresh = initial_colours(octave, config.colour.init, config.optimize.seed)
+    init, seed = problem.config.colour.init, problem.config.optimize.seed
     if colours is None:
-        return fresh
+        return initial_colours(octave, init, seed)
     found, near = sample_colours(before, colours, octave.positions)
-    return torch.where(near > 0, found, fresh)
+    lacking = near[:, 0] == 0
+    if bool(lacking.any()):
+        found[lacking] = initial_colours(octave.take(lacking), init, seed)
+    return found

@@ -14,18 +14,17 @@ from torch import Tensor
 
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.memory import LazyList, accumulate
-from usdsmoke.core.smoke.srgb import encode_srgb
+from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
 from usdsmoke.core.style.losses import Content
 from usdsmoke.core.views.cameras import View, draw_views
 from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.optics import opacity
-from usdsmoke.core.views.project import SparseImage, colour_map
+from usdsmoke.core.views.project import colour_map
+from usdsmoke.core.views.sparse_image import SparseImage
 
 THIN = 0.05  # exposed opacity at which the guidance mask is one half
 BACKDROP = 0.2  # of that, where a pixel of the colour picture is half background: thin smoke that
 # is seen mixed with it takes complementary tints, which cancel it and which the style does not have
-
-DIM = 0.01  # of the most opaque pixel: how opaque all count at least when shares are compared
 
 AnyView = TypeVar("AnyView")
 
@@ -151,6 +150,10 @@ class ColourView:
         """
         return self.over(self.shown(colours), background)
 
+    def picture(self, encoded: Tensor, background: Tensor) -> Tensor:
+        """``unpremultiplied`` of display-encoded colours [N 3], without decoding what is hidden."""
+        return self.over(self._shown(decode_srgb(self.image.pick(encoded))), background)
+
     def over(self, light: Tensor, background: Tensor) -> Tensor:
         """The same of the painted smoke's light in the picture, [H W 3]."""
         behind = BACKDROP * self.thin
@@ -158,7 +161,13 @@ class ColourView:
 
     def shown(self, colours: Tensor) -> Tensor:
         """Light of the painted smoke in the picture, [H W 3]."""
-        light = self.image.apply(colours if self.light is None else colours * self.light)
+        return self._shown(self.image.pick(colours))
+
+    def _shown(self, colours: Tensor) -> Tensor:
+        """The same of the colours that can be seen, [M 3]."""
+        if self.light is not None:
+            colours = colours * self.image.pick(self.light)
+        light = self.image.splat(colours)
         return light if self.scattered is None else light + self.scattered
 
 
@@ -179,7 +188,7 @@ def prepare_views(
         exposure: see ``Scene``.
         share: of the effect mask, see ``project.colour_map``.
         lighting: light that the smoke scatters; it is fixed, and is projected once for each view.
-        faint: voxels with no more than this share of any pixel's opacity are left out; see ``DIM``.
+        faint: see ``project.colour_map``.
     """
     positions, step = smoke.positions, smoke.voxel_size
     painted = positions if share is None else positions[share > 0]
@@ -187,15 +196,13 @@ def prepare_views(
 
     def make(number: int) -> ColourView:
         image, alpha = colour_map(
-            positions, smoke.density, smoke.edges, gamma_w, views[number], step, share
+            positions, smoke.density, smoke.edges, gamma_w, views[number], step, share, faint
         )
         light = scattered = None
         if lit is not None:
             light = lit.scattered(views[number].forward)
         if light is not None and lighting is not None and not lighting.is_painted:
             scattered, light = image.apply(light), None
-        if faint:
-            image = image.without_faint(faint * (alpha + DIM * alpha.max()))
         return ColourView(image, alpha, THIN / exposure, scattered=scattered, light=light)
 
     return LazyList(len(views), make)

@@ -12,147 +12,25 @@ linear maps come out of it:
 The same slabs, seen from a light, tell how much of its light arrives at a point (``shadows``).
 """
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Any, cast
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.smoke.memory import chunks, weighted_rows
-from usdsmoke.core.smoke.tasks import run_tasks
+from usdsmoke.core.smoke.memory import chunks
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.footprint import voxel_points
 from usdsmoke.core.views.optics import THICKEST, Slabs, opacity
+from usdsmoke.core.views.sparse_image import SparseImage
 
 # Share of the most opaque pixel: fainter light vanishes in the rounding of float32 sums anyway.
 NEGLIGIBLE = 1e-9
-SCATTERED_ROWS = 2**15  # voxels whose light is added to a picture at once, at least
+DIM = 0.01  # of the most opaque pixel: how opaque all count at least when shares are compared
 CHUNK_ROWS = 2**15  # voxels whose pixels are found at once
-MOST_SUMS = 32  # such pictures, which are in memory together
-
-
-class _Apply(torch.autograd.Function):
-    """Values [N C] -> picture [P C]; both sum in a fixed order, so bits are reproducible."""
-
-    @staticmethod
-    def forward(ctx: Any, values: Tensor, image: "SparseImage") -> Tensor:
-        ctx.image = image
-        if image.rows is not None:
-            values = values.index_select(0, image.rows)
-        if values.device.type == "cpu":
-            return _scattered(values.detach(), image)
-        entry, by_pixel, start = image.runs
-        return weighted_rows(values.detach(), entry, start, by_pixel)
-
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
-        return ctx.image.adjoint(upstream.contiguous()), None
-
-
-def _scattered(values: Tensor, image: "SparseImage") -> Tensor:
-    """[P C], entry after entry: nothing has to be sorted first.
-
-    A map is applied two to eight times, and sorting takes as long as that or longer. One channel
-    takes no longer than sums over sorted runs on one thread, three take three times as long.
-    """
-    n_pixels = image.height * image.width
-
-    def add_up(part: slice) -> Tensor:
-        pixel, weight = image.pixel[part].reshape(-1), image.weight[part]
-        columns = values[part].unbind(1)
-        return torch.stack(
-            [
-                torch.bincount(pixel, (weight * column[:, None]).reshape(-1), minlength=n_pixels)
-                for column in columns
-            ]
-        )
-
-    n_rows = max(SCATTERED_ROWS, -(-len(image.pixel) // MOST_SUMS))
-    parts = chunks(len(image.pixel), n_rows, values.device)
-    found = values.new_zeros(values.shape[1], n_pixels)
-    for sums in run_tasks([partial(add_up, part) for part in parts]):
-        found += sums
-    return found.T.contiguous()
-
-
-@dataclass(frozen=True)
-class SparseImage:
-    """A linear map from N voxels to H x W pixels with K pixels a voxel: four for each point in it.
-
-    Weights of pixels outside the image are 0, but a value there that is not finite still reaches
-    the picture.
-    """
-
-    height: int
-    width: int
-    pixel: Tensor  # [M K]
-    weight: Tensor  # [M K]
-    rows: Tensor | None = None  # [M], the voxels that can be seen, ascending; None: all, M = N
-    n_voxels: int = 0  # N, where there are rows
-
-    def total_weights(self) -> Tensor:
-        """Of each voxel, over all pixels, [N]."""
-        total = self.weight.sum(dim=1)
-        if self.rows is None:
-            return total
-        return total.new_zeros(self.n_voxels).index_copy_(0, self.rows, total)
-
-    def without_faint(self, least: Tensor) -> "SparseImage":
-        """The map of the voxels with a weight above ``least`` [H W] in some pixel.
-
-        Asked is the pixel above and left of each point, for all four of it. Takes over the memory
-        of this map, which is of no use afterwards.
-        """
-        n_rows, n_points = len(self.pixel), self.pixel.shape[1] // 4
-        rows = self.rows
-        if rows is None:
-            rows = torch.arange(n_rows, device=least.device)
-        least, end = least.reshape(-1), 0
-        for part in chunks(n_rows, CHUNK_ROWS, least.device):
-            first = self.pixel[part].view(-1, n_points, 4)[..., 0]
-            most = self.weight[part].view(-1, n_points, 4).amax(2)
-            enough = least.index_select(0, first.reshape(-1)).view_as(most)
-            chosen = (most > enough).any(1).nonzero().squeeze(1)
-            some = slice(end, end + len(chosen))
-            for values in (self.pixel, self.weight, rows):
-                values[some] = values[part].index_select(0, chosen)
-            end = some.stop
-        pixel, weight, rows = (values[:end] for values in (self.pixel, self.weight, rows))
-        return SparseImage(self.height, self.width, pixel, weight, rows, self.n_voxels or n_rows)
-
-    @cached_property
-    def runs(self) -> tuple[Tensor, Tensor, Tensor]:
-        """The entries with a weight, sorted by pixel: row, weight, first entry of each pixel.
-
-        For devices on which scattered sums come in any order.
-        """
-        pixel, weight = self.pixel.reshape(-1), self.weight.reshape(-1)
-        keep = torch.nonzero(weight).squeeze(1)
-        ordered, place = torch.sort(pixel[keep], stable=True)
-        order = keep[place]
-        del keep, place  # each as large as all that is returned
-        n_pixels = self.height * self.width
-        start = torch.zeros(n_pixels, dtype=torch.int32, device=pixel.device)
-        start[1:] = torch.cumsum(torch.bincount(ordered, minlength=n_pixels), 0)[:-1]
-        row = torch.div(order, self.pixel.shape[1], rounding_mode="floor").to(torch.int32)
-        return row, weight[order], start
-
-    def apply(self, values: Tensor) -> Tensor:
-        """Picture [H W C] of voxel values [N C]. Gradients: through ``values``, exact adjoint."""
-        flat = cast(Tensor, _Apply.apply(values, self))
-        return flat.view(self.height, self.width, -1)
-
-    def adjoint(self, picture: Tensor) -> Tensor:
-        """Voxel values [N C] of a picture [H W C] or [P C]: the transpose of ``apply``."""
-        flat = picture.reshape(self.height * self.width, -1)
-        n_entries, step = self.pixel.numel(), self.pixel.shape[1]
-        start = torch.arange(0, n_entries, step, dtype=torch.int32, device=flat.device)
-        rows = None if self.rows is None else (self.rows, self.n_voxels)
-        return weighted_rows(flat, self.pixel.reshape(-1), start, self.weight.reshape(-1), rows)
 
 
 @dataclass(frozen=True)
@@ -299,6 +177,7 @@ def colour_map(
     view: View,
     step: float,
     share: Tensor | None = None,
+    faint: float = 0.0,
 ) -> tuple[SparseImage, Tensor]:
     """The map from voxel colour [N 3] to the picture of fixed smoke, and its opacity [H W].
 
@@ -311,10 +190,13 @@ def colour_map(
         step: thickness of the slabs, stage units; about the voxel's size.
         share: [N] in [0, 1], the share of each voxel's light in the picture; None means all. Smoke
             with a share of 0 still hides the smoke behind it.
+        faint: voxels that have no more than this share of the opacity of any pixel are left out.
+            Asked is the pixel above and left of each point; ``DIM`` of the most opaque one is the
+            least opacity that counts.
 
     Returns:
         The map, from the voxels with a share above 0, and the picture of white smoke, alpha: with
-        all shares 1 it is 1 - exp(-gamma_w * column integral).
+        all shares 1 it is 1 - exp(-gamma_w * column integral), faint voxels and all.
 
     Gradients: none through density; it is fixed in the colour step.
     """
@@ -341,48 +223,54 @@ def colour_map(
             slabs.add(*place, shifts, depths)
     alpha = opacity(slabs.values.sum(0)).view(view.height, view.width)
     slabs.light_up()
-    least = NEGLIGIBLE * float(alpha.max())
-    for part in chunks(n_voxels, CHUNK_ROWS, device):
+
+    def lit(part: slice) -> Tensor:
         for point in range(n_points):
             light[point, :, part] *= slabs.at(cell[point, part], far[point, part], shifts)
-    del slabs, cell, far
-    image = _shown(view, first, shifts, light.flatten(0, 1), least, share)
-    if share is None:
-        return image, alpha
-    return image, image.apply(density.new_ones(image.n_voxels, 1))[..., 0]
+        return light[..., part]
+
+    least = NEGLIGIBLE * float(alpha.max()), faint * (alpha + DIM * alpha.max()).flatten()
+    image, shown = _shown(view, first, lit, shifts, least, share)
+    return image, alpha if share is None else shown
 
 
 def _shown(
-    view: View, first: Tensor, shifts: Sequence[int], light: Tensor, least: float,
-    share: Tensor | None,
-) -> SparseImage:  # fmt: skip
-    """The map of the voxels with light [n*4 N] above ``least`` in a pixel.
+    view: View, first: Tensor, lit: Callable[[slice], Tensor], shifts: Sequence[int],
+    least: tuple[float, Tensor], share: Tensor | None,
+) -> tuple[SparseImage, Tensor]:  # fmt: skip
+    """The map of the voxels that are seen, and the picture of all of them where they have shares.
 
     Args:
         first: pixel of each point, [n N].
+        lit: of some voxels, the light that each pixel around each point gets, [n 4 M].
+        least: light that is 0, and what a voxel has more of by the pixel of a point, [P].
         share: see ``colour_map``.
     """
-    width, n_voxels = light.shape
+    (n_points, n_voxels), n_pixels = first.shape, view.height * view.width
+    width = n_points * len(shifts)
     pixel = first.new_empty(n_voxels, width)  # memory that is not written is not taken
-    weight = light.new_empty(n_voxels, width)
-    steps, last = first.new_tensor(shifts), view.height * view.width - 1
-    rows, end = [], 0
-    for part in chunks(n_voxels, CHUNK_ROWS, light.device):
-        here = light[:, part]
-        here = F.threshold(here, least, 0)  # ten times as fast as ``where`` on mixed values
-        seen = here.amax(0) > 0
+    weight = least[1].new_empty(n_voxels, width)
+    total = weight.new_zeros(n_pixels + max(shifts))  # and what has no weight beyond the picture
+    steps, rows, end = first.new_tensor(shifts), [], 0
+    for part in chunks(n_voxels, CHUNK_ROWS, first.device):
+        # ten times as fast as ``where`` on mixed values
+        here, near = F.threshold(lit(part), least[0], 0), first[:, part]
+        seen = (here.amax(1) > least[1].index_select(0, near.flatten()).view_as(near)).any(0)
         if share is not None:
             here *= share[part].to(here)
             seen &= share[part] > 0
+            for point, corner in itertools.product(range(n_points), range(len(shifts))):
+                total[shifts[corner] :].index_add_(0, near[point], here[point, corner])
         chosen = seen.nonzero().squeeze(1)
         some = slice(end, end + len(chosen))
-        weight[some] = here.index_select(1, chosen).T
-        pixels = first[:, part].index_select(1, chosen).T[..., None] + steps
-        pixel[some] = pixels.clamp_(max=last).flatten(1)
+        weight[some] = here.flatten(0, 1).index_select(1, chosen).T
+        pixels = near.index_select(1, chosen).T[..., None] + steps
+        pixel[some] = pixels.clamp_(max=n_pixels - 1).flatten(1)
         rows.append(chosen.add_(part.start))
         end = some.stop
     number = torch.cat(rows)
     if share is not None:  # among those that are painted
         painted = torch.cumsum(share > 0, 0)
         number, n_voxels = painted[number] - 1, int(painted[-1])
-    return SparseImage(view.height, view.width, pixel[:end], weight[:end], number, n_voxels)
+    image = SparseImage(view.height, view.width, pixel[:end], weight[:end], number, n_voxels)
+    return image, total[:n_pixels].view(view.height, view.width)
