@@ -314,12 +314,14 @@ def test_without_faint_voxels_the_picture_lacks_their_light_alone(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_whether_a_voxel_is_faint_does_not_depend_on_its_share_of_the_light(kind):
+def test_voxels_are_faint_beside_what_is_painted_of_their_pixel(kind):
     smoke = smoke_of(puff(12), affine(1))
     place = smoke.positions, smoke.density, smoke.edges, 3.0, look_at(smoke, kind), 1.0
-    whole, _ = colour_map(*place, faint=1e-3)
-    part = torch.rand(len(smoke.ijk), generator=torch.Generator().manual_seed(0))
-    part[::3] = 0
-    masked, _ = colour_map(*place, part, faint=1e-3)
-    painted = torch.cumsum(part > 0, 0) - 1
-    assert torch.equal(masked.rows, painted[whole.rows[part[whole.rows] > 0]])
+    one, part = torch.ones(len(smoke.ijk)), (torch.arange(len(smoke.ijk)) % 3 > 0).double()
+    (whole, _), (same, _) = colour_map(*place, faint=1e-3), colour_map(*place, one, faint=1e-3)
+    assert torch.equal(whole.rows, same.rows)
+    masked, alpha = colour_map(*place, 1e-5 * part, faint=1e-3)
+    again, more = colour_map(*place, part, faint=1e-3)
+    assert torch.allclose(alpha, 1e-5 * more) and torch.equal(masked.rows, again.rows)
+    complete, _ = colour_map(*place, part)
+    assert torch.allclose(more, complete.apply(torch.ones(int(part.sum()), 1))[..., 0])

@@ -12,9 +12,8 @@ linear maps come out of it:
 The same slabs, seen from a light, tell how much of its light arrives at a point (``shadows``).
 """
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -224,44 +223,56 @@ def colour_map(
     alpha = opacity(slabs.values.sum(0)).view(view.height, view.width)
     slabs.light_up()
 
-    def lit(part: slice) -> Tensor:
+    def light_up(part: slice) -> None:
         for point in range(n_points):
             light[point, :, part] *= slabs.at(cell[point, part], far[point, part], shifts)
-        return light[..., part]
+        if share is not None:
+            light[..., part] *= share[part].to(light)
 
-    least = NEGLIGIBLE * float(alpha.max()), faint * (alpha + DIM * alpha.max()).flatten()
-    image, shown = _shown(view, first, lit, shifts, least, share)
-    return image, alpha if share is None else shown
+    nothing = NEGLIGIBLE * float(alpha.max())
+    if share is not None:  # what is faint depends on the picture of all that is painted
+        for part in chunks(n_voxels, CHUNK_ROWS, device):
+            light_up(part)
+        alpha = _added_up(view, first, light, shifts)
+    least = nothing, faint * (alpha + DIM * alpha.max()).flatten()
+    image = _shown(view, first, light, shifts, least, None if share is not None else light_up)
+    return (image, alpha) if share is None else (_among_painted(image, share), alpha)
+
+
+def _added_up(view: View, first: Tensor, light: Tensor, shifts: Sequence[int]) -> Tensor:
+    """The picture [H W] of all light; arguments as of ``_shown``."""
+    n_pixels = view.height * view.width
+    total = light.new_zeros(n_pixels + max(shifts))  # and what has no weight beyond the picture
+    for point, pixel in enumerate(first):
+        for number, shift in enumerate(shifts):
+            total[shift:].index_add_(0, pixel, light[point, number])
+    return total[:n_pixels].view(view.height, view.width)
 
 
 def _shown(
-    view: View, first: Tensor, lit: Callable[[slice], Tensor], shifts: Sequence[int],
-    least: tuple[float, Tensor], share: Tensor | None,
-) -> tuple[SparseImage, Tensor]:  # fmt: skip
-    """The map of the voxels that are seen, and the picture of all of them where they have shares.
+    view: View, first: Tensor, light: Tensor, shifts: Sequence[int],
+    least: tuple[float, Tensor], light_up: Callable[[slice], None] | None,
+) -> SparseImage:  # fmt: skip
+    """The map of the voxels that are seen.
 
     Args:
         first: pixel of each point, [n N].
-        lit: of some voxels, the light that each pixel around each point gets, [n 4 M].
+        light: that each pixel around each point gets, [n 4 N].
         least: light that is 0, and what a voxel has more of by the pixel of a point, [P].
-        share: see ``colour_map``.
+        light_up: makes the light of some voxels; None: it is made.
     """
     (n_points, n_voxels), n_pixels = first.shape, view.height * view.width
     width = n_points * len(shifts)
     pixel = first.new_empty(n_voxels, width)  # memory that is not written is not taken
-    weight = least[1].new_empty(n_voxels, width)
-    total = weight.new_zeros(n_pixels + max(shifts))  # and what has no weight beyond the picture
+    weight = light.new_empty(n_voxels, width)
     steps, rows, end = first.new_tensor(shifts), [], 0
     for part in chunks(n_voxels, CHUNK_ROWS, first.device):
+        if light_up is not None:
+            light_up(part)
         # ten times as fast as ``where`` on mixed values
-        here, near = F.threshold(lit(part), least[0], 0), first[:, part]
-        seen = (here.amax(1) > least[1].index_select(0, near.flatten()).view_as(near)).any(0)
-        if share is not None:
-            here *= share[part].to(here)
-            seen &= share[part] > 0
-            for point, corner in itertools.product(range(n_points), range(len(shifts))):
-                total[shifts[corner] :].index_add_(0, near[point], here[point, corner])
-        chosen = seen.nonzero().squeeze(1)
+        here, near = F.threshold(light[..., part], least[0], 0), first[:, part]
+        enough = here.amax(1) > least[1].index_select(0, near.flatten()).view_as(near)
+        chosen = enough.any(0).nonzero().squeeze(1)
         some = slice(end, end + len(chosen))
         weight[some] = here.flatten(0, 1).index_select(1, chosen).T
         pixels = near.index_select(1, chosen).T[..., None] + steps
@@ -269,8 +280,11 @@ def _shown(
         rows.append(chosen.add_(part.start))
         end = some.stop
     number = torch.cat(rows)
-    if share is not None:  # among those that are painted
-        painted = torch.cumsum(share > 0, 0)
-        number, n_voxels = painted[number] - 1, int(painted[-1])
-    image = SparseImage(view.height, view.width, pixel[:end], weight[:end], number, n_voxels)
-    return image, total[:n_pixels].view(view.height, view.width)
+    return SparseImage(view.height, view.width, pixel[:end], weight[:end], number, n_voxels)
+
+
+def _among_painted(image: SparseImage, share: Tensor) -> SparseImage:
+    """The map of the voxels with a share alone; no other is seen."""
+    assert image.rows is not None
+    painted = torch.cumsum(share > 0, 0)
+    return replace(image, rows=painted[image.rows] - 1, n_voxels=int(painted[-1]))
