@@ -10,6 +10,7 @@ With ``--json`` stdout holds exactly one JSON value, whatever happens: the resul
 """
 
 import argparse
+import gc
 import json
 import os
 import signal
@@ -58,6 +59,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Whatever is flushed when the interpreter ends must not complain again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _BROKEN_PIPE
+    finally:
+        if argv is None:  # the process ends: to look through torch's objects takes half a second
+            gc.freeze()
 
 
 def _commands() -> dict[str, Callable[[argparse.Namespace], int]]:
