@@ -171,7 +171,7 @@ def optimize_colours(
     def clip() -> None:
         share_rows(clip_part, len(unknown), SHARED_ROWS, unknown.device)
         if rules.style is not None and next(turn) % HUES_EVERY == 0:
-            unknown.copy_(rules.in_style(unknown, begun))
+            rules.style.bring(unknown, begun, rules.limit)
 
     def blend() -> None:
         assert rules.blended is not None

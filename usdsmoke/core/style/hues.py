@@ -4,6 +4,7 @@ Views leave voxels hues that cancel in their pictures, and in no others: green b
 which a painting of flames has not. Where it is dark hardly anything holds a hue.
 """
 
+import math
 from functools import cached_property
 
 import torch
@@ -71,19 +72,23 @@ class Hues:
             before: [N 3]; colours that have hardly changed since then stay.
         """
         found = colours.clone(memory_format=torch.contiguous_format)
+        self.bring(found, before)
+        return found
+
+    def bring(self, colours: Tensor, before: Tensor | None = None, limit: float = math.inf) -> None:
+        """``nearest`` in place, where colours change up to a limit; the others are not touched."""
         table, is_far = self._table.to(colours), self._is_far.to(colours.device)
 
-        def bring(part: slice) -> None:
+        def bring_part(part: slice) -> None:
             far = _far_of(colours[part], is_far)
             here = colours[part].index_select(0, far)
             if before is not None:
                 changed = ((here - before[part].index_select(0, far)).abs() > CHANGED).any(dim=1)
                 far, here = far[changed], here[changed]
             if len(far):
-                found[part][far] = _brought(here, table)
+                colours[part].index_copy_(0, far, _brought(here, table).clamp_max_(limit))
 
-        share_rows(bring, len(colours), CHUNK_ROWS, colours.device)
-        return found
+        share_rows(bring_part, len(colours), CHUNK_ROWS, colours.device)
 
     @cached_property
     def _is_far(self) -> Tensor:
