@@ -110,10 +110,15 @@ def draw_sweep(result: SweepResult) -> bytes:
             point.error.median or exact, point.cost.median or least, "o", markersize=17,
             fillstyle="none", color="black", markeredgewidth=1.6, label="configured", zorder=5,
         )  # fmt: skip
-    _draw_own_error(axes, result)
+    own = _own_error(result)
+    if own is not None:
+        axes.dataLim.update_from_data_x([own], ignore=False)
+    _widen(axes)
+    if own is not None:
+        axes.axvline(own, color="#777777", linestyle="--", linewidth=1,
+                     label="how far the two references differ")  # fmt: skip
     axes.grid(True, which="both", color="#e6e6e6", linewidth=0.6)
     axes.set_axisbelow(True)
-    _widen(axes)
     _plain_ticks(axes)
     if any(point.error.median == 0 for point in result.points):
         _name_exact(axes, exact, all(point.error.median == 0 for point in result.points))
@@ -123,17 +128,11 @@ def draw_sweep(result: SweepResult) -> bytes:
     return buffer.getvalue()
 
 
-def _draw_own_error(axes: Any, result: SweepResult) -> None:
-    """A line at the distance of the references, if points come near it."""
+def _own_error(result: SweepResult) -> float | None:
+    """The distance of the references, if points come near it."""
     own = result.plan.uncertain
-    if own > 0 and any(0 < point.error.low < 10 * own for point in result.points):
-        axes.axvline(
-            own,
-            color="#777777",
-            linestyle="--",
-            linewidth=1,
-            label="how far the two references differ",
-        )
+    is_near = own > 0 and any(0 < point.error.low < 10 * own for point in result.points)
+    return own if is_near else None
 
 
 def _draw_curve(
@@ -190,12 +189,18 @@ def _name_exact(axes: Any, exact: float, alone: bool) -> None:
 
 
 def _widen(axes: Any) -> None:
-    """Room around points that (nearly) agree: no axis is shown that spans round-off."""
-    for limits, change in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
-        low, high = limits
+    """Room around points that (nearly) agree: no axis is shown that spans round-off.
+
+    Before limits are asked for: matplotlib warns where those of one point differ by round-off.
+    """
+    data = axes.dataLim
+    for low, high, add in (
+        (*data.intervalx, data.update_from_data_x),
+        (*data.intervaly, data.update_from_data_y),
+    ):
         if high / low < _LEAST_SPAN:
             middle = (low * high) ** 0.5
-            change(middle / _LEAST_SPAN**0.5, middle * _LEAST_SPAN**0.5)
+            add([middle / _LEAST_SPAN**0.5, middle * _LEAST_SPAN**0.5], ignore=False)
 
 
 def _plain_ticks(axes: Any) -> None:

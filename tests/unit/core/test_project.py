@@ -9,12 +9,13 @@ from torch import Tensor
 
 from tests.fixtures.camera_fixtures import camera_picture
 from tests.fixtures.smoke_fixtures import affine, puff, smoke_of
+from usdsmoke.core.fields import sparse_image
+from usdsmoke.core.fields.sparse_image import SparseImage
 from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.views import project, sparse_image
+from usdsmoke.core.views import project
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.optics import MOST_CELLS, Slabs
-from usdsmoke.core.views.project import colour_map, column_map
-from usdsmoke.core.views.sparse_image import SparseImage
+from usdsmoke.core.views.project import Shown, colour_map, column_map
 
 KINDS = ["orthographic", "perspective"]
 PLACES = [(0, False), (1, False), (2, True), (3, True)]  # seeds of transforms, mirrored or not
@@ -191,13 +192,13 @@ def test_smoke_that_is_not_shown_hides_what_is_behind_it_and_gives_no_light(shar
     density = torch.tensor([0.8, 1.7], dtype=torch.float64)
     view = orbit_view(0.0, 0.0, "Y", np.zeros(3), 1, 1, 1.0)
     shown = torch.tensor([0.0, share])
-    image, alpha = colour_map(positions, density, np.eye(3), 0.9, view, 1.0, shown)
+    image, alpha = colour_map(positions, density, np.eye(3), 0.9, view, 1.0, Shown(shown))
     wanted = share * np.exp(-0.9 * 0.8) * -np.expm1(-0.9 * 1.7)
     assert float(alpha) == pytest.approx(wanted, rel=1e-12)
     colour = torch.tensor([[0.2, 1.0, 0.5]], dtype=torch.float64)
     assert image.apply(colour)[0, 0].tolist() == pytest.approx((wanted * colour[0]).tolist())
     assert image.adjoint(torch.ones(1, 1, 1).double()).shape == (1, 1)
-    _, front = colour_map(positions, density, np.eye(3), 0.9, view, 1.0, shown.flip(0))
+    _, front = colour_map(positions, density, np.eye(3), 0.9, view, 1.0, Shown(shown.flip(0)))
     assert float(front) == pytest.approx(share * -np.expm1(-0.9 * 0.8), rel=1e-12)
 
 
@@ -209,7 +210,7 @@ def test_what_is_shown_is_linear_in_the_share_and_everything_shown_is_the_plain_
 
     def picture(shown: Tensor | None) -> tuple[Tensor, Tensor]:
         image, alpha = colour_map(
-            smoke.positions, density, smoke.edges, 0.3, view, smoke.voxel_size, shown
+            smoke.positions, density, smoke.edges, 0.3, view, smoke.voxel_size, Shown(shown)
         )
         chosen = colours if shown is None else colours[shown > 0]
         return image.apply(chosen), alpha
@@ -262,7 +263,7 @@ def test_working_in_pieces_gives_the_same_pictures(kind, monkeypatch):
     def made() -> list[Tensor]:
         columns = column_map(smoke.positions, smoke.edges, view, torch.float64)
         image, alpha = colour_map(
-            smoke.positions, density, smoke.edges, 0.3, view, smoke.voxel_size, share
+            smoke.positions, density, smoke.edges, 0.3, view, smoke.voxel_size, Shown(share)
         )
         colours = random(image.n_voxels, 3)
         return [columns.apply(density[:, None]), image.apply(colours), image.rows, alpha]
@@ -296,7 +297,7 @@ def test_without_faint_voxels_the_picture_lacks_their_light_alone(kind):
     view, share = look_at(smoke, kind), 1e-3
     place = smoke.positions, smoke.density, smoke.edges, 3.0, view, smoke.voxel_size
     image, alpha = colour_map(*place)
-    left, same = colour_map(*place, faint=share)
+    left, same = colour_map(*place, Shown(faint=share))
     assert torch.equal(same, alpha)
     white = torch.ones(len(smoke.ijk), 1)
     before, after = (of.apply(white)[..., 0] for of in (image, left))
@@ -318,10 +319,10 @@ def test_voxels_are_faint_beside_what_is_painted_of_their_pixel(kind):
     smoke = smoke_of(puff(12), affine(1))
     place = smoke.positions, smoke.density, smoke.edges, 3.0, look_at(smoke, kind), 1.0
     one, part = torch.ones(len(smoke.ijk)), (torch.arange(len(smoke.ijk)) % 3 > 0).double()
-    (whole, _), (same, _) = colour_map(*place, faint=1e-3), colour_map(*place, one, faint=1e-3)
+    (whole, _), (same, _) = (colour_map(*place, Shown(share, 1e-3)) for share in (None, one))
     assert torch.equal(whole.rows, same.rows)
-    masked, alpha = colour_map(*place, 1e-5 * part, faint=1e-3)
-    again, more = colour_map(*place, part, faint=1e-3)
+    masked, alpha = colour_map(*place, Shown(1e-5 * part, 1e-3))
+    again, more = colour_map(*place, Shown(part, 1e-3))
     assert torch.allclose(alpha, 1e-5 * more) and torch.equal(masked.rows, again.rows)
-    complete, _ = colour_map(*place, part)
+    complete, _ = colour_map(*place, Shown(part))
     assert torch.allclose(more, complete.apply(torch.ones(int(part.sum()), 1))[..., 0])

@@ -8,6 +8,7 @@
 - ``lattice``: a dense box around the smoke
 - ``resample``: upsampling, smoothing, smaller voxels
 - ``sparse_map``: sparse linear maps between nodes of lattices
+- ``sparse_image``: the sparse linear map from voxels to the pixels of a view
 - ``pyramid``: coefficient pyramids, on the nodes that have an effect
 - ``displacement``: displacements of potentials, on a box or at chosen voxels; clamped lengths
 - ``flow``: the displacement of a velocity that is followed for a unit of time

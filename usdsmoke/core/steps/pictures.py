@@ -12,6 +12,7 @@ from typing import Generic, TypeVar
 import torch
 from torch import Tensor
 
+from usdsmoke.core.fields.sparse_image import SparseImage
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.memory import LazyList, accumulate
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
@@ -19,8 +20,7 @@ from usdsmoke.core.style.losses import Content
 from usdsmoke.core.views.cameras import View, draw_views
 from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.optics import opacity
-from usdsmoke.core.views.project import colour_map
-from usdsmoke.core.views.sparse_image import SparseImage
+from usdsmoke.core.views.project import Shown, colour_map
 
 THIN = 0.05  # exposed opacity at which the guidance mask is one half
 BACKDROP = 0.2  # of that, where a pixel of the colour picture is half background: thin smoke that
@@ -186,9 +186,9 @@ def prepare_views(
         smoke: all of it, painted or not.
         gamma_w: extinction per density, 1/stage unit.
         exposure: see ``Scene``.
-        share: of the effect mask, see ``project.colour_map``.
+        share: of the effect mask, see ``project.Shown``.
         lighting: light that the smoke scatters; it is fixed, and is projected once for each view.
-        faint: see ``project.colour_map``.
+        faint: see ``project.Shown``.
     """
     positions, step = smoke.positions, smoke.voxel_size
     painted = positions if share is None else positions[share > 0]
@@ -196,7 +196,13 @@ def prepare_views(
 
     def make(number: int) -> ColourView:
         image, alpha = colour_map(
-            positions, smoke.density, smoke.edges, gamma_w, views[number], step, share, faint
+            positions,
+            smoke.density,
+            smoke.edges,
+            gamma_w,
+            views[number],
+            step,
+            Shown(share, faint),
         )
         light = scattered = None
         if lit is not None:

@@ -12,19 +12,20 @@ linear maps come out of it:
 The same slabs, seen from a light, tell how much of its light arrives at a point (``shadows``).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from usdsmoke.core.fields.sparse_image import SparseImage
 from usdsmoke.core.smoke.memory import chunks
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.footprint import voxel_points
 from usdsmoke.core.views.optics import THICKEST, Slabs, opacity
-from usdsmoke.core.views.sparse_image import SparseImage
 
 # Share of the most opaque pixel: fainter light vanishes in the rounding of float32 sums anyway.
 NEGLIGIBLE = 1e-9
@@ -168,6 +169,24 @@ def column_map(
     return SparseImage(view.height, view.width, pixel.flatten(1), weight.flatten(1))
 
 
+class Shown(NamedTuple):
+    """What of the voxels a picture shows.
+
+    Attributes:
+        share: [N] in [0, 1], of each voxel's light; None means all. Smoke with a share of 0 still
+            hides the smoke behind it.
+        faint: voxels that have no more than this share of the opacity of any pixel are left out.
+            Asked is the pixel above and left of each point; ``DIM`` of the most opaque one is the
+            least opacity that counts.
+    """
+
+    share: Tensor | None = None
+    faint: float = 0.0
+
+
+ALL = Shown()
+
+
 def colour_map(
     positions: Tensor,
     density: Tensor,
@@ -175,8 +194,7 @@ def colour_map(
     gamma_w: float,
     view: View,
     step: float,
-    share: Tensor | None = None,
-    faint: float = 0.0,
+    shown: Shown = ALL,
 ) -> tuple[SparseImage, Tensor]:
     """The map from voxel colour [N 3] to the picture of fixed smoke, and its opacity [H W].
 
@@ -187,11 +205,7 @@ def colour_map(
         gamma_w: extinction per density, 1/stage unit.
         view: see ``column_map``.
         step: thickness of the slabs, stage units; about the voxel's size.
-        share: [N] in [0, 1], the share of each voxel's light in the picture; None means all. Smoke
-            with a share of 0 still hides the smoke behind it.
-        faint: voxels that have no more than this share of the opacity of any pixel are left out.
-            Asked is the pixel above and left of each point; ``DIM`` of the most opaque one is the
-            least opacity that counts.
+        shown: see ``Shown``.
 
     Returns:
         The map, from the voxels with a share above 0, and the picture of white smoke, alpha: with
@@ -199,88 +213,108 @@ def colour_map(
 
     Gradients: none through density; it is fixed in the colour step.
     """
-    offsets, device = point_offsets(positions, edges, view), density.device
-    n_voxels, n_points = len(positions), len(offsets)
-    if n_voxels == 0:
-        pixel = torch.empty(0, 4, dtype=torch.int32, device=device)
+    share, faint = shown
+    if len(positions) == 0:
+        pixel = torch.empty(0, 4, dtype=torch.int32, device=density.device)
         image = SparseImage(view.height, view.width, pixel, density.new_empty(0, 4))
         return image, density.new_zeros(view.height, view.width)
-    projector = Projector(positions, view, density.dtype)
-    depth_range, shifts = projector.depth_range(positions, offsets), projector.shifts
-    slabs = Slabs(view, depth_range, step, density)
-    scale = gamma_w * abs(float(np.linalg.det(edges))) / n_points
-    first = torch.empty(n_points, n_voxels, dtype=torch.int32, device=device)
-    cell, far = torch.empty_like(first), density.new_empty(first.shape)
-    light = density.new_empty(n_points, len(shifts), n_voxels)
-    for part in chunks(n_voxels, CHUNK_ROWS, device):
-        mass = density[part] * scale
-        for point, foot in enumerate(projector.footprints(positions[part], offsets)):
-            here = (mass * foot.per_area).clamp_max_(THICKEST)
-            first[point, part] = foot.first
-            cell[point, part], far[point, part] = place = slabs.place(foot.first, foot.depth)
-            depths = torch.mul(foot.weights, here, out=light[point, :, part])
-            slabs.add(*place, shifts, depths)
-    alpha = opacity(slabs.values.sum(0)).view(view.height, view.width)
-    slabs.light_up()
-
-    def light_up(part: slice) -> None:
-        for point in range(n_points):
-            light[point, :, part] *= slabs.at(cell[point, part], far[point, part], shifts)
-        if share is not None:
-            light[..., part] *= share[part].to(light)
-
+    lit = _LitPoints(positions, density * (gamma_w * abs(float(np.linalg.det(edges)))), view, step,
+                     point_offsets(positions, edges, view))  # fmt: skip
+    alpha = lit.alpha
     nothing = NEGLIGIBLE * float(alpha.max())
     if share is not None:  # what is faint depends on the picture of all that is painted
-        for part in chunks(n_voxels, CHUNK_ROWS, device):
-            light_up(part)
-        alpha = _added_up(view, first, light, shifts)
-    least = nothing, faint * (alpha + DIM * alpha.max()).flatten()
-    image = _shown(view, first, light, shifts, least, None if share is not None else light_up)
+        lit.take_share(share)
+        alpha = lit.picture()
+    image = lit.image(nothing, faint * (alpha + DIM * alpha.max()).flatten())
     return (image, alpha) if share is None else (_among_painted(image, share), alpha)
 
 
-def _added_up(view: View, first: Tensor, light: Tensor, shifts: Sequence[int]) -> Tensor:
-    """The picture [H W] of all light; arguments as of ``_shown``."""
-    n_pixels = view.height * view.width
-    total = light.new_zeros(n_pixels + max(shifts))  # and what has no weight beyond the picture
-    for point, pixel in enumerate(first):
-        for number, shift in enumerate(shifts):
-            total[shift:].index_add_(0, pixel, light[point, number])
-    return total[:n_pixels].view(view.height, view.width)
-
-
-def _shown(
-    view: View, first: Tensor, light: Tensor, shifts: Sequence[int],
-    least: tuple[float, Tensor], light_up: Callable[[slice], None] | None,
-) -> SparseImage:  # fmt: skip
-    """The map of the voxels that are seen.
+class _LitPoints:
+    """Points of voxels in slabs across a view, and the light that each gives the pixels around it.
 
     Args:
-        first: pixel of each point, [n N].
-        light: that each pixel around each point gets, [n 4 N].
-        least: light that is 0, and what a voxel has more of by the pixel of a point, [P].
-        light_up: makes the light of some voxels; None: it is made.
+        positions: voxel centres, [N 3] float64, stage space.
+        mass: [N], extinction times volume.
+        view, step: as of ``colour_map``.
+        offsets: from a centre to the points, [n 3].
     """
-    (n_points, n_voxels), n_pixels = first.shape, view.height * view.width
-    width = n_points * len(shifts)
-    pixel = first.new_empty(n_voxels, width)  # memory that is not written is not taken
-    weight = light.new_empty(n_voxels, width)
-    steps, rows, end = first.new_tensor(shifts), [], 0
-    for part in chunks(n_voxels, CHUNK_ROWS, first.device):
-        if light_up is not None:
-            light_up(part)
-        # ten times as fast as ``where`` on mixed values
-        here, near = F.threshold(light[..., part], least[0], 0), first[:, part]
-        enough = here.amax(1) > least[1].index_select(0, near.flatten()).view_as(near)
-        chosen = enough.any(0).nonzero().squeeze(1)
-        some = slice(end, end + len(chosen))
-        weight[some] = here.flatten(0, 1).index_select(1, chosen).T
-        pixels = near.index_select(1, chosen).T[..., None] + steps
-        pixel[some] = pixels.clamp_(max=n_pixels - 1).flatten(1)
-        rows.append(chosen.add_(part.start))
-        end = some.stop
-    number = torch.cat(rows)
-    return SparseImage(view.height, view.width, pixel[:end], weight[:end], number, n_voxels)
+
+    def __init__(
+        self, positions: Tensor, mass: Tensor, view: View, step: float, offsets: Tensor
+    ) -> None:
+        n_voxels, n_points, device = len(positions), len(offsets), mass.device
+        projector = Projector(positions, view, mass.dtype)
+        depth_range = projector.depth_range(positions, offsets)
+        self._view, self._shifts = view, projector.shifts
+        self._slabs = Slabs(view, depth_range, step, mass)
+        self._first = torch.empty(n_points, n_voxels, dtype=torch.int32, device=device)
+        self._cell, self._far = torch.empty_like(self._first), mass.new_empty(n_points, n_voxels)
+        # optical depths, then the light of what is lit
+        self._light = mass.new_empty(n_points, len(self._shifts), n_voxels)
+        self._is_lit = False
+        for part in chunks(n_voxels, CHUNK_ROWS, device):
+            here = mass[part] / n_points
+            for point, foot in enumerate(projector.footprints(positions[part], offsets)):
+                thick = (here * foot.per_area).clamp_max_(THICKEST)
+                place = self._slabs.place(foot.first, foot.depth)
+                self._first[point, part] = foot.first
+                self._cell[point, part], self._far[point, part] = place
+                depths = torch.mul(foot.weights, thick, out=self._light[point, :, part])
+                self._slabs.add(*place, self._shifts, depths)
+        #: of all smoke, [H W]
+        self.alpha = opacity(self._slabs.values.sum(0)).view(view.height, view.width)
+        self._slabs.light_up()
+
+    def take_share(self, share: Tensor) -> None:
+        """Leave each voxel a share [N] of its light."""
+        for part in chunks(len(share), CHUNK_ROWS, share.device):
+            self._light_up(part)
+            self._light[..., part] *= share[part].to(self._light)
+        self._is_lit = True
+
+    def picture(self) -> Tensor:
+        """All light, [H W]; behind ``take_share``."""
+        n_pixels = self._view.height * self._view.width
+        # and what has no weight beyond the picture
+        total = self._light.new_zeros(n_pixels + max(self._shifts))
+        for pixel, light in zip(self._first, self._light, strict=True):
+            for shift, corner in zip(self._shifts, light, strict=True):
+                total[shift:].index_add_(0, pixel, corner)
+        return total[:n_pixels].view(self._view.height, self._view.width)
+
+    def image(self, nothing: float, least: Tensor) -> SparseImage:
+        """The map of the voxels that are seen.
+
+        Args:
+            nothing: light that is 0.
+            least: what a voxel has more of by the pixel of a point, [P].
+        """
+        first, light, view = self._first, self._light, self._view
+        (n_points, n_voxels), n_pixels = first.shape, view.height * view.width
+        width = n_points * len(self._shifts)
+        pixel = first.new_empty(n_voxels, width)  # memory that is not written is not taken
+        weight = light.new_empty(n_voxels, width)
+        steps, rows, end = first.new_tensor(self._shifts), [], 0
+        for part in chunks(n_voxels, CHUNK_ROWS, first.device):
+            if not self._is_lit:
+                self._light_up(part)
+            # ten times as fast as ``where`` on mixed values
+            here, near = F.threshold(light[..., part], nothing, 0), first[:, part]
+            enough = here.amax(1) > least.index_select(0, near.flatten()).view_as(near)
+            chosen = enough.any(0).nonzero().squeeze(1)
+            some = slice(end, end + len(chosen))
+            weight[some] = here.flatten(0, 1).index_select(1, chosen).T
+            pixels = near.index_select(1, chosen).T[..., None] + steps
+            pixel[some] = pixels.clamp_(max=n_pixels - 1).flatten(1)
+            rows.append(chosen.add_(part.start))
+            end = some.stop
+        number = torch.cat(rows)
+        return SparseImage(view.height, view.width, pixel[:end], weight[:end], number, n_voxels)
+
+    def _light_up(self, part: slice) -> None:
+        for point, light in enumerate(self._light):
+            cell, far = self._cell[point, part], self._far[point, part]
+            light[:, part] *= self._slabs.at(cell, far, self._shifts)
 
 
 def _among_painted(image: SparseImage, share: Tensor) -> SparseImage:
