@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usdsmoke.core.generator.definition import N_ITERATIONS
-from usdsmoke.core.smoke.schedule import warm_iterations
+from usdsmoke.core.smoke.schedule import network_iterations, warm_iterations
 from usdsmoke.planning.estimate import FrameSize, training_seconds
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
@@ -34,11 +34,12 @@ if TYPE_CHECKING:
 
     from usdsmoke.core.generator.network import Generator
     from usdsmoke.core.sequence.transit import Transit
+    from usdsmoke.core.steps.optimize import Minimum
     from usdsmoke.core.steps.targets import StepProblem
 
 _N_FRAMES = 8  # the measured one among them
 _COLD = (1.0, 0.5, 0.25, 0.125)  # of the iterations
-_AFTER = (0, 8, 16, 32)  # iterations at full resolution
+_AFTER = (0, 8, 16, 32)  # iterations
 
 
 def _applies(case: Case) -> str:
@@ -67,9 +68,13 @@ def _plan(case: Case) -> Plan:
         for share in _COLD
         for own in [scaled(base, share)]
     ]  # fmt: skip
+    n_voxels = len(starts.problem.smoke.ijk)
     for count in _AFTER:
         label = f"network + {count}" if count else "network"
-        run = partial(starts.after_network, (*[0] * (len(base) - 1), count))
+        iterations = network_iterations(
+            (*[0] * (len(base) - 1), count), len(starts.problem.smoke.ijk)
+        )
+        run = partial(starts.after_network, iterations)
         effort = count / whole + 0.02
         tasks.append(Task("network", label, run, reference.error, effort=effort))
     if starts.before is not None:
@@ -84,7 +89,7 @@ def _plan(case: Case) -> Plan:
         EXCESS,
         f"The colour step on {copy_text(case)}. The network was trained on {where} in "
         f"{learned:.0f} s, which is not in the times of its points. Iterations after it are those "
-        "of the finest octave.",
+        "of the finest octave; of a large copy, three of four are of the octave before.",
         reference.text,
         uncertain=reference.apart,
         n_runs=N_RUNS,
@@ -140,33 +145,36 @@ class _Starts:
 
     def after_network(self, per_octave: Sequence[int], run: int) -> Outcome:
         """The network's colours, and iterations after it."""
+        from usdsmoke.core.steps.behind import refine_painted
+
         problem = self._seeded(run)
         seed = problem.config.optimize.seed
         painted = self.generator.paint(problem.smoke, problem.scene.gamma_w, seed)
-        return self._refined(problem, per_octave, painted)
+        found, ends, _ = refine_painted(problem, per_octave, painted)
+        return self._outcome(problem, per_octave, found, ends)
 
     def after_neighbour(self, per_octave: Sequence[int], run: int) -> Outcome:
         """The colours of the frame before, carried along, and iterations after that."""
         from usdsmoke.core.sequence.start import start_colours
+        from usdsmoke.core.steps.colour import run_colour_step
 
         assert self.before is not None
         problem, (earlier, colours, way) = self._seeded(run), self.before
         seed = problem.config.optimize.seed
         carried = start_colours((earlier.smoke, colours), None, way, problem.smoke, seed)
         assert carried is not None
-        return self._refined(problem, per_octave, carried)
+        found, ends = run_colour_step(problem, per_octave, carried, warm=True)
+        return self._outcome(problem, per_octave, found, ends)
 
     def _seeded(self, run: int) -> "StepProblem":
         config = self.problem.config
         optimize = config.optimize.replace(seed=config.optimize.seed + run)
         return replace(self.problem, config=config.replace(optimize=optimize))
 
-    def _refined(
-        self, problem: "StepProblem", per_octave: Sequence[int], start: "Tensor"
-    ) -> Outcome:
-        from usdsmoke.core.steps.colour import run_colour_step
-
-        found, ends = run_colour_step(problem, per_octave, start, warm=True)
+    def _outcome(
+        self, problem: "StepProblem", per_octave: Sequence[int], found: "Tensor",
+        ends: Sequence["Minimum"],
+    ) -> Outcome:  # fmt: skip
         place = ("refined", 1)
         return Outcome(problem.smoke, found, place, problem.config, len(per_octave), ends)
 

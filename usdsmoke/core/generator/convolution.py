@@ -1,8 +1,8 @@
 """Convolutions of 3 x 3 x 3 over voxels that hold smoke, with the same bits for any threads.
 
 A voxel's neighbours are gathered into a row, and rows are multiplied with the weights, a fixed
-number of rows at a time: memory does not grow with the frame. The gradient is the same gather with
-the weights turned around, because being a neighbour is mutual.
+number of rows at a time, so that their memory does not grow with the frame. The gradient is the
+same gather with the weights turned around, because being a neighbour is mutual.
 """
 
 from functools import partial

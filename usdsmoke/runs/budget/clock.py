@@ -1,5 +1,6 @@
-"""The time of a run by part; the parts add up to the whole.
+"""The time of a run by part.
 
+The parts add up to the whole, or to more where a frame is painted while another one is written.
 Windows and the coarse step keep their own time in their manifests. A call adds the time of its own
 work. So the time of a run of several processes is the sum of their times.
 """
