@@ -71,9 +71,7 @@ def _plan(case: Case) -> Plan:
     n_voxels = len(starts.problem.smoke.ijk)
     for count in _AFTER:
         label = f"network + {count}" if count else "network"
-        iterations = network_iterations(
-            (*[0] * (len(base) - 1), count), len(starts.problem.smoke.ijk)
-        )
+        iterations = network_iterations((*[0] * (len(base) - 1), count), n_voxels)
         run = partial(starts.after_network, iterations)
         effort = count / whole + 0.02
         tasks.append(Task("network", label, run, reference.error, effort=effort))
