@@ -3,10 +3,10 @@
     python -m benchmarks.one_pass [--resolution 40] [--styles strokes A.jpg] [--data FOLDER]
 
 For each style a network is trained on frames of the example plume, as ``usdsmoke train`` does but
-with one more, and paints a frame that it has not seen, and two of other shots: a plume with a wider source, more heat
-and other gusts, and the real plume, its voxels merged in blocks, where its file is there. Beside it
-stand cold starts of the colour step, a start from the frame before, and the network with iterations
-of the finest octave after it. ``--other`` trains on the first of these shots instead, ``--own``
+with one more, and paints a frame that it has not seen, and two of other shots: a plume with a wider
+source, more heat and other gusts, and the real plume, its voxels merged in blocks, where its file
+is there. Beside it stand cold starts of the colour step, a start from the frame before, and the
+network with iterations after it. ``--other`` trains on the first of these shots instead, ``--own``
 also on the real plume, a shot of one frame, ``--large`` only there, at full resolution. Density is
 as it is in the files. Losses and scores are means over views that no run has, and over the seeds.
 Everything runs on one thread.
