@@ -34,7 +34,7 @@ def work(frames: Sequence[VolumeFrame], **sections: Any) -> Elements:
     ones do.
     """
     config = quick_config(**(ONE_OCTAVE | sections))
-    with mock.patch.object(Hues, "nearest", lambda self, colours, before=None: colours):
+    with mock.patch.object(Hues, "bring", lambda self, *colours: None):
         run_core(frames, config)
         with Elements(views=False) as elements:
             run_core(frames, config)
