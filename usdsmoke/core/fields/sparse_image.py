@@ -16,8 +16,8 @@ from usdsmoke.core.smoke.memory import chunks, share_rows, weighted_rows
 from usdsmoke.core.smoke.tasks import run_tasks
 
 SCATTERED_ROWS = 2**15  # voxels whose light is added to a picture at once, at least
-PICKED_ROWS = 2**16  # voxels whose values are picked at once
 MOST_SUMS = 32  # such pictures, which are in memory together
+PICKED_ROWS = 2**16  # voxels whose values are picked at once
 
 
 class _Pick(torch.autograd.Function):
@@ -114,7 +114,7 @@ class SparseImage:
         total = self.weight.sum(dim=1)
         if self.rows is None:
             return total
-        return total.new_zeros(self.n_voxels).index_copy_(0, self.rows, total)
+        return _put_back(total[:, None], self.rows, self.n_voxels)[:, 0]
 
     @cached_property
     def runs(self) -> tuple[Tensor, Tensor, Tensor]:

@@ -273,7 +273,10 @@ class _LitPoints:
         self._is_lit = True
 
     def picture(self) -> Tensor:
-        """All light, [H W]; behind ``take_share``."""
+        """All light, [H W]; behind ``take_share``.
+
+        On a GPU the order of the sums, and with it the last bits, is not fixed.
+        """
         n_pixels = self._view.height * self._view.width
         # and what has no weight beyond the picture
         total = self._light.new_zeros(n_pixels + max(self._shifts))
