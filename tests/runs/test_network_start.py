@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import Shot, contents, make_shot
@@ -14,8 +15,10 @@ from usdsmoke.base.errors import ConfigError, FeatureError, WriteFailed
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.style.safetensors import read_safetensors
 from usdsmoke.pipeline import StylizeResult, plan, stylize
 from usdsmoke.runs import window
+from usdsmoke.runs.train import train
 from usdsmoke.ui.cli.main import main
 
 QUICK = {
@@ -182,3 +185,46 @@ def test_the_plan_tells_how_many_iterations_follow_the_network(shot: Shot) -> No
         assert any(
             f"colour step with {count} iterations behind a network" in t for t in told.needed
         )
+
+
+def test_a_network_of_the_shot_is_taken_without_iterations_from_noise(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But not with other settings, nor where it is worse than its file says."""
+    asked = list[int]()
+
+    def cold_loss(*arguments: object) -> float:
+        asked.append(1)
+        return 0.0  # nothing is as good as these iterations
+
+    file_path = shot.folder / "own.safetensors"
+    train(shot.stage, shot.style, file_path, QUICK, iterations=60)
+    monkeypatch.setattr("usdsmoke.core.training.canvas.cold_loss", cold_loss)
+    own = {"optimize__start": str(file_path), "optimize__iterations": 0}
+    result = run(shot, "out", **own)
+    assert not asked and not any("suit" in text for text in result.warnings)
+    run(shot, "one", stage__frames="2", **own)
+    assert not asked
+
+    other = run(shot, "other", losses__nearest=0.5, **own)
+    assert len(asked) == 1 and any("does not suit" in text for text in other.warnings)
+    bright = np.full((8, 8, 3), 255, np.uint8)
+    Image.fromarray(bright).save(shot.folder / "white.png")
+    stylize(
+        shot.stage, shot.folder / "white.png", shot.folder / "white",
+        {**QUICK, "optimize.start": str(file_path)},
+    )  # fmt: skip
+    assert len(asked) == 2
+
+    _, notes = read_safetensors(file_path)
+    kept = ("basis", "loss", "cold_loss")
+    worse = Generator.new(torch.tensor([0.0, 1.0, 0.0]), 0)
+    file_path.write_bytes(worse.to_bytes({name: notes[name] for name in kept}))
+    result = run(shot, "worse", **own)
+    assert len(asked) == 3 and any("does not suit" in text for text in result.warnings)
+
+    # trained, but never as good as iterations from noise
+    poor = {"basis": notes["basis"], "loss": "9", "cold_loss": "8"}
+    file_path.write_bytes(worse.to_bytes(poor))
+    run(shot, "poor", **own)
+    assert len(asked) == 4

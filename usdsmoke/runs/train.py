@@ -4,6 +4,8 @@ A run trains its networks beside measuring the scenes, before the first window: 
 what all windows share.
 """
 
+import hashlib
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +20,7 @@ from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.core.generator.definition import N_ITERATIONS
+from usdsmoke.core.generator.weights import read_notes
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.plan import FramePlan, VolumePlan, named_frames
@@ -32,6 +35,9 @@ if TYPE_CHECKING:
     from usdsmoke.core.training.train import TrainState
 
 _N_FRAMES = 7  # that are read; one of them is held out
+_BASIS = "basis"  # note in a network's file, see ``_basis``
+_OF_LOSSES = ("views", "optics", "style", "features", "losses")  # sections of the settings
+_ALIKE = 1.05  # times a loss, of frames of one shot
 
 
 @dataclass(frozen=True)
@@ -182,7 +188,32 @@ def _try_network(opened: OpenRun, volume: VolumePlan, scene: Mapping[str, Any]) 
     from usdsmoke.core.views.scene import Scene
 
     frame = opened.reader.read(volume, frames[len(frames) // 2])
-    return find_misfit(frame, opened.job.pictures(volume), Scene(**scene), config)
+    good = _known_loss(opened.job, volume)
+    return find_misfit(frame, opened.job.pictures(volume), Scene(**scene), config, good)
+
+
+def _known_loss(job: Job, volume: VolumePlan) -> float:
+    """A loss that says without a cold start that a network from a file suits a Volume; 0: none.
+
+    It is little more than that of the frame that was held out when the network was trained, if
+    losses were measured as the Volume's are.
+    """
+    notes = read_notes(Path(volume.config.optimize.start_file))
+    if notes.get(_BASIS) != _basis(job, volume):
+        return 0.0
+    loss, cold = float(notes["loss"]), float(notes["cold_loss"])
+    return min(_ALIKE * loss, cold) if loss <= cold else 0.0
+
+
+def _basis(job: Job, volume: VolumePlan) -> str:
+    """SHA-256 of what losses depend on beside the smoke: the styles, and the settings of pictures
+    and losses."""
+    config = volume.config
+    settings = config.model_dump(include=set(_OF_LOSSES))
+    chosen = {"refine": config.grids.refine, "target": config.colour.target, **settings}
+    styles = [job.styles[place].sha256 for place in volume.styles]
+    words = json.dumps([__version__, styles, chosen], sort_keys=True)
+    return hashlib.sha256(words.encode()).hexdigest()
 
 
 def _train(
@@ -224,5 +255,6 @@ def _to_bytes(job: Job, volume: VolumePlan, found: "TrainedOnFrames") -> bytes:
         "loss": f"{trained.loss:.6g}",
         "cold_loss": f"{trained.cold_loss:.6g}",
         "iterations": str(trained.n_iterations),
+        _BASIS: _basis(job, volume),
     }
     return trained.generator.to_bytes(notes)

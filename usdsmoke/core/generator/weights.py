@@ -18,7 +18,7 @@ def weights_bytes(arrays: Mapping[str, np.ndarray], notes: Mapping[str, str]) ->
     """The file of parameters by name; equal arguments give equal bytes.
 
     Args:
-        notes: what they were trained on and what they reach, for people.
+        notes: what they were trained on and what they reach.
     """
     return safetensors_bytes(arrays, {**notes, _FORMAT: FORMAT, _DIGEST: _digest(arrays)})
 
@@ -29,6 +29,15 @@ def read_weights(file_path: Path) -> dict[str, np.ndarray]:
     Raises:
         FeatureError: it is missing, damaged, or no generator of this version.
     """
+    return _read(file_path)[0]
+
+
+def read_notes(file_path: Path) -> dict[str, str]:
+    """The notes in a generator's file; raises as ``read_weights`` does."""
+    return _read(file_path)[1]
+
+
+def _read(file_path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     try:
         arrays, notes = read_safetensors(file_path)
     except OSError as error:
@@ -48,7 +57,7 @@ def read_weights(file_path: Path) -> dict[str, np.ndarray]:
             f"the network {file_path} is damaged: its numbers are not those that were written. "
             f"{_ADVICE}"
         )
-    return {name: arrays[name] for name in parameter_shapes()}
+    return {name: arrays[name] for name in parameter_shapes()}, notes
 
 
 def _digest(arrays: Mapping[str, np.ndarray]) -> str:

@@ -120,16 +120,21 @@ def cold_iterations(problem: StepProblem) -> list[int]:
     return [COLD] * len(problem.config.colour.iterations)
 
 
-def misfit(generator: Generator, problem: StepProblem) -> str:
+def misfit(generator: Generator, problem: StepProblem, good: float = 0.0) -> str:
     """Why a generator does not suit a frame, as a part of a sentence; "" where it does.
 
     Its loss on the frame, in views of their own, must not exceed that of cold iterations. Crops
     would not do: smoke that the frame hides is seen there, and pixels have less smoke behind them.
+
+    Args:
+        good: a loss up to which cold iterations are not asked for.
     """
     part = crop(problem, 0, WHOLE_VOXELS)
     canvas = judge(part, problem)
     with torch.no_grad():
         found = float(canvas.loss(canvas.paint(generator, problem.config.optimize.seed), 0))
+    if found <= good:
+        return ""
     cold, n = cold_loss(part, canvas), sum(cold_iterations(part))
     return misfit_text(found, cold, n)
 

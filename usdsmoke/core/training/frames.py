@@ -59,13 +59,18 @@ def train_on_frames(
 
 
 def find_misfit(
-    frame: VolumeFrame, styles: Sequence[np.ndarray], scene: Scene, config: Config
+    frame: VolumeFrame,
+    styles: Sequence[np.ndarray],
+    scene: Scene,
+    config: Config,
+    good: float = 0.0,
 ) -> str:
     """Why the network of ``optimize.start`` does not suit a frame; "" where it does, or where the
     frame has nothing to paint.
 
     Args:
         styles, scene, config: as of ``stylize_window``.
+        good: a loss that needs no comparison with a cold start, see ``canvas.misfit``.
 
     Raises:
         FeatureError: see ``Generator.from_file``.
@@ -75,4 +80,4 @@ def find_misfit(
     opened = open_frame(frame, context)
     if opened.left_out or context.generator is None:
         return ""
-    return misfit(context.generator, opened.colour_problem())
+    return misfit(context.generator, opened.colour_problem(), good)
