@@ -315,7 +315,8 @@ def test_a_change_before_the_last_iterations_is_mended_and_its_losses_are_left_o
         seen.append(iteration)
         return (x - 1).square().sum()
 
-    def change() -> None:
+    def change(n_after: int) -> None:
+        assert n_after == 14
         x.add_(0.3)
 
     states = list(minimize_and_mend(bowl, [x], Descent(0.1, 200), change))
@@ -328,7 +329,10 @@ def test_a_change_before_the_last_iterations_is_mended_and_its_losses_are_left_o
     # without iterations to mend, the change is the last
     few = torch.zeros(2, requires_grad=True)
     (*_, end) = minimize_and_mend(
-        lambda n: few.square().sum(), [few], Descent(0.1, 5), lambda: few.fill_(7.0)
+        lambda n: few.square().sum(),
+        [few],
+        Descent(0.1, 5),
+        lambda n_after: few.fill_(7.0 + n_after),
     )
     assert end.iteration == 4 and few.tolist() == [7.0, 7.0]
     assert list(minimize_and_mend(bowl, [x], Descent(0.1, 0), change)) == []

@@ -1,6 +1,4 @@
-"""Colours of voxels from those around them: where too little is known, and where hues disagree."""
-
-from collections.abc import Iterator
+"""Colours of voxels and of those around them: what is unknown, mixed hues, detail."""
 
 import torch
 from torch import Tensor
@@ -17,6 +15,7 @@ from usdsmoke.core.smoke.srgb import luma
 KNOWN = 0.99  # trust above which a voxel keeps its colour: the rest of it would not be seen
 ENOUGH = 0.5  # mean trust of a block's voxels at which it needs no larger block
 OWN = 4.0  # times that a voxel's chroma counts as much as that of the next one along an axis
+WIDE = 3  # times that luma is averaged over three voxels along each axis, for its detail
 
 
 def spread_colours(smoke: ActiveSmoke, colours: Tensor, trust: Tensor) -> Tensor:
@@ -84,25 +83,57 @@ def blend_chroma(smoke: ActiveSmoke, colours: Tensor, weight: Tensor) -> Tensor:
         weight: [N] >= 0, how much a voxel counts. Where all around is 0 the colours stay.
     """
     grey = luma(colours)[:, None]
-    chroma = colours - grey
-    summed = torch.cat([chroma * weight[:, None], weight[:, None]], dim=1)
-    for first, second in _neighbours(smoke):
-        blended = OWN * summed
-        blended[first] += summed[second]
-        blended[second] += summed[first]
-        summed = blended
+    return grey + _mean_around(smoke, colours - grey, weight, OWN, 1)
+
+
+def luma_detail(smoke: ActiveSmoke, colours: Tensor, weight: Tensor) -> Tensor:
+    """Luma of each voxel less its mean around, [N 1]: what strokes of few voxels are made of.
+
+    The mean is taken three times over three voxels along each axis, which is close to a Gaussian
+    with a standard deviation of 1.4 voxels.
+
+    Args:
+        smoke, colours, weight: as of ``blend_chroma``; where all around is 0 there is no detail.
+    """
+    grey = luma(colours)[:, None]
+    return grey - _mean_around(smoke, grey, weight, 1.0, WIDE)
+
+
+def _mean_around(
+    smoke: ActiveSmoke, values: Tensor, weight: Tensor, own: float, times: int
+) -> Tensor:
+    """Means [N C] of each voxel and those beside it, ``times`` in turn; where all weights are 0,
+    the values themselves.
+
+    Args:
+        values: [N C].
+        weight: [N] >= 0, how much a voxel counts.
+        own: how much a voxel counts more than the next one along an axis.
+    """
+    summed = torch.cat([values * weight[:, None], weight[:, None]], dim=1)
+    neighbours = _neighbours(smoke)
+    for _ in range(times):
+        for before, behind in neighbours:
+            padded = torch.cat([summed, torch.zeros_like(summed[:1])])
+            summed = own * summed + padded.index_select(0, before)
+            summed += padded.index_select(0, behind)
     total = summed[:, -1:]
     mean = summed[:, :-1] / total.clamp_min(torch.finfo(total.dtype).tiny)
-    return grey + torch.where(total > 0, mean, chroma)
+    return torch.where(total > 0, mean, values)
 
 
-def _neighbours(smoke: ActiveSmoke) -> Iterator[tuple[Tensor, Tensor]]:
-    """For each axis, the rows of voxels that have one behind them, and the rows of those."""
-    low = smoke.ijk.amin(0)
+def _neighbours(smoke: ActiveSmoke) -> list[tuple[Tensor, Tensor]]:
+    """For each axis, the rows [N] of the voxels before and behind each one; N where none is."""
+    n, low = len(smoke.ijk), smoke.ijk.amin(0)
     shape = smoke.ijk.amax(0) - low + 2  # a voxel of margin: no row of voxels meets the next one
     known, order = flat_key(smoke.ijk, low, shape).sort()
+    found = []
     for stride in (shape[1] * shape[2], shape[2], 1):
-        behind = known + stride
-        row = torch.searchsorted(known, behind).clamp_max(len(known) - 1)
-        exists = known[row] == behind
-        yield order[exists], order[row[exists]]
+        sought = known + stride
+        row = torch.searchsorted(known, sought).clamp_max(n - 1)
+        exists = known[row] == sought
+        first, second = order[exists], order[row[exists]]
+        before, behind = torch.full_like(order, n), torch.full_like(order, n)
+        before[second], behind[first] = first, second
+        found.append((before, behind))
+    return found

@@ -9,8 +9,9 @@ All along, colours are brought to hues that the style has: pictures hardly hold 
 nor those that cancel in them. Towards the end of an octave hues are blended with those of the
 voxels beside, because views leave each other speckle; the last iterations mend what the style loses
 by that. A warm frame gets such colours from its neighbour, and mixed anew in each frame they would
-blur: only the hues of the change are blended. At the end, voxels that hardly any light of the
-pictures comes from take the colours of the smoke around them: what no view sees would keep the
+blur: only the hues of the change are blended. Brightness is sharpened then, as far as the loss
+falls: what differs from voxel to voxel is found last. At the end, voxels that hardly any light of
+the pictures comes from take the colours of the smoke around them: what no view sees would keep the
 noise that it starts with.
 """
 
@@ -27,10 +28,11 @@ from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colour
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import SHARED_ROWS, LazyList, share_rows
 from usdsmoke.core.smoke.noise import white_noise
-from usdsmoke.core.smoke.spread import blend_chroma, spread_colours
+from usdsmoke.core.smoke.spread import blend_chroma, luma_detail, spread_colours
 from usdsmoke.core.smoke.srgb import BRIGHTEST, encode_srgb, luma
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
+from usdsmoke.core.steps.sharpen import sharpened
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
 from usdsmoke.core.style.hues import Hues
 from usdsmoke.core.style.losses import PictureLoss
@@ -46,6 +48,7 @@ DIM = 0.1
 FAINT = 2e-4  # share of a pixel's opacity up to which it leaves voxels out: 0.5 % of its light
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
+JUDGING = 3  # iterations whose pictures tell how much detail to add
 HUES_EVERY = 4  # iterations: the look-up takes a tenth as long as one
 
 Look = Callable[[Sequence[ColourView], Tensor], None]
@@ -59,6 +62,8 @@ class ColourRules:
     limit: float = 1.0
     #: what is done to all colours [N 3] before the last iterations
     blended: Callable[[Tensor], Tensor] | None = None
+    #: of colours [N 3] the detail [N 1] that is raised then
+    detail: Callable[[Tensor], Tensor] | None = None
     #: the hues that colours are brought to again and again
     style: Hues | None = None
 
@@ -67,6 +72,15 @@ class ColourRules:
         if self.style is None:
             return colours
         return self.style.nearest(colours, begun).clamp(0, self.limit)
+
+    def changed(self, colours: Tensor, loss: Callable[[Tensor], float] | None) -> Tensor:
+        """All colours [N 3] before the last iterations: blended, and sharpened by a loss if there
+        is one."""
+        assert self.blended is not None
+        colours = self.blended(colours).clamp(0, self.limit)
+        if self.detail is None or loss is None:
+            return colours
+        return sharpened(colours, self.detail(colours), self.limit, loss)
 
 
 def run_colour_step(
@@ -162,8 +176,7 @@ def optimize_colours(
     # epsilon is in units of the mean over all voxels
     epsilon = descent.epsilon * math.sqrt(len(unknown) / max(len(colours), 1))
 
-    def objective(iteration: int) -> Tensor:
-        return pictures_loss(pool, unknown, loss, background, iteration)
+    objective = partial(pictures_loss, pool, unknown, loss, background)
 
     def clip_part(part: slice) -> None:
         unknown[part].clamp_(0, rules.limit)
@@ -173,17 +186,20 @@ def optimize_colours(
         if rules.style is not None and next(turn) % HUES_EVERY == 0:
             rules.style.bring(unknown, begun, rules.limit)
 
-    def blend() -> None:
-        assert rules.blended is not None
+    def judged(colours: Tensor) -> float:
+        here = colours[shown]
+        return sum(float(pictures_loss(pool, here, loss, background, n)) for n in range(JUDGING))
+
+    def change(n_after: int) -> None:
         found[shown] = unknown
-        found.copy_(rules.blended(found).clamp(0, rules.limit))
+        found.copy_(rules.changed(found, judged if n_after else None))
         unknown.copy_(found[shown])
 
     state, descent = None, replace(descent, passage=pool.passage, epsilon=epsilon)
     if rules.blended is None:
         states = minimize(objective, [unknown], descent, clip)
     else:
-        states = minimize_and_mend(objective, [unknown], descent, blend, clip)
+        states = minimize_and_mend(objective, [unknown], descent, change, clip)
     for state in states:
         if watch is not None:
             watch(state)
@@ -298,10 +314,12 @@ def limit_of(problem: StepProblem) -> float:
 
 def _rules(problem: StepProblem, painted: ActiveSmoke, begun: Tensor | None) -> ColourRules:
     """The rules of an octave; ``begun`` are the colours of a start that is nearly right."""
-    blended = partial(_blended, painted, _alone(painted, problem.scene), begun)
+    alone = _alone(painted, problem.scene)
+    blended = partial(_blended, painted, alone, begun)
+    detail = partial(luma_detail, painted, weight=alone)
     # what scatters light has the hues of its albedo
     hues = problem.targets.hues if problem.lighting is None else None
-    return ColourRules(limit_of(problem), blended, hues)
+    return ColourRules(limit_of(problem), blended, detail, hues)
 
 
 def _blended(painted: ActiveSmoke, weight: Tensor, begun: Tensor | None, colours: Tensor) -> Tensor:

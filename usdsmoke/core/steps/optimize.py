@@ -184,7 +184,7 @@ def minimize_and_mend(
     objective: Callable[[int], Tensor],
     parameters: list[Tensor],
     descent: Descent,
-    change: Callable[[], None],
+    change: Callable[[int], None],
     project: Callable[[], None] | None = None,
 ) -> Iterator[Minimum]:
     """``minimize`` with a change of the parameters before the last iterations, ``MENDING`` of them.
@@ -195,7 +195,8 @@ def minimize_and_mend(
 
     Args:
         objective, parameters, descent, project: as of ``minimize``.
-        change: is called once without gradients, and changes the parameters in place.
+        change: is called once, without gradients, with the number of iterations that follow it, and
+            changes the parameters in place.
     """
     adam, rest = Adam(epsilon=descent.epsilon), int(MENDING * descent.n_iterations)
     first = replace(descent, n_iterations=descent.n_iterations - rest)
@@ -207,7 +208,7 @@ def minimize_and_mend(
         yield latest
         latest = state
     with torch.no_grad():
-        change()
+        change(rest)
     before, last = latest, Descent(MENDING_RATE * descent.rate, rest)
     done = before.iteration + 1
     for state in minimize(lambda n: objective(done + n), parameters, last, project, adam):
