@@ -10,6 +10,7 @@ from torch import Tensor
 from tests.fixtures.smoke_fixtures import puff, random_style, smoke_of
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.spread import luma_detail
 from usdsmoke.core.steps import colour, sharpen
 from usdsmoke.core.steps.sharpen import MOST, lowest, sharpened
@@ -47,7 +48,19 @@ def test_detail_is_the_difference_from_dense_smoke_and_nothing_where_all_around_
     smoke = ActiveSmoke(torch.tensor([[0, 0, 0], [0, 0, 1], [9, 9, 9]]), torch.ones(3), np.eye(4))
     colours = torch.tensor([[0.2] * 3, [0.8] * 3, [0.4] * 3])
     found = luma_detail(smoke, colours, torch.tensor([1e6, 1.0, 0.0]))[:, 0]
-    assert found.tolist() == pytest.approx([0.0, 0.6, 0.0], abs=1e-5)
+    # around is .2: two thirds of the luma where detail counts fully
+    assert found.tolist() == pytest.approx([0.0, 0.4, 0.0], abs=1e-5)
+
+
+def test_detail_of_dark_smoke_counts_as_much_less_as_it_is_darker():
+    smoke = smoke_of(np.ones((8, 8, 8)))
+    noise = 0.02 * (white_noise(smoke.ijk, 1, 0) - 0.5)
+    weight = torch.ones(len(noise))
+    bright, dark, black = (
+        luma_detail(smoke, (level + noise).expand(-1, 3), weight) for level in (0.6, 0.15, 0.0)
+    )
+    assert torch.allclose(dark, 0.5 * bright, atol=5e-4)
+    assert black.abs().max() < 0.05 * bright.abs().max()
 
 
 @pytest.mark.parametrize(

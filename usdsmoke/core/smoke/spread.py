@@ -15,6 +15,7 @@ from usdsmoke.core.smoke.srgb import luma
 KNOWN = 0.99  # trust above which a voxel keeps its colour: the rest of it would not be seen
 ENOUGH = 0.5  # mean trust of a block's voxels at which it needs no larger block
 OWN = 4.0  # times that a voxel's chroma counts as much as that of the next one along an axis
+DARK = 0.3  # mean luma below which detail counts less
 WIDE = 3  # times that luma is averaged over three voxels along each axis, for its detail
 
 
@@ -89,14 +90,16 @@ def blend_chroma(smoke: ActiveSmoke, colours: Tensor, weight: Tensor) -> Tensor:
 def luma_detail(smoke: ActiveSmoke, colours: Tensor, weight: Tensor) -> Tensor:
     """Luma of each voxel less its mean around, [N 1]: what strokes of few voxels are made of.
 
-    The mean is taken three times over three voxels along each axis, which is close to a Gaussian
-    with a standard deviation of 1.4 voxels.
+    Where the mean is below ``DARK``, as much less as it is darker: dark parts have all of their
+    style's detail, and more would be grain. The mean is taken three times over three voxels along
+    each axis, which is close to a Gaussian with a standard deviation of 1.4 voxels.
 
     Args:
         smoke, colours, weight: as of ``blend_chroma``; where all around is 0 there is no detail.
     """
     grey = luma(colours)[:, None]
-    return grey - _mean_around(smoke, grey, weight, 1.0, WIDE)
+    mean = _mean_around(smoke, grey, weight, 1.0, WIDE)
+    return (grey - mean) * (mean / DARK).clamp(0, 1)
 
 
 def _mean_around(
