@@ -164,14 +164,14 @@ def test_a_converged_octave_does_no_more_iterations() -> None:
     frames, counts = [frame_of(puff(8))], []
     for tolerance in (0.0, 10.0):
         config = quick_config(
-            colour={"iterations": [40]}, optimize={"steps": ["colour"], "tolerance": tolerance}
+            colour={"iterations": [80]}, optimize={"steps": ["colour"], "tolerance": tolerance}
         )
         with Elements() as elements:
             (result,) = run_core(frames, config)
         counts.append(elements.convolved)
         report = result.report.colour
         assert report.ended == ("converged" if tolerance else "iterations",)
-        assert (report.iterations == (40,)) is (tolerance == 0)
+        assert (report.iterations == (80,)) is (tolerance == 0)
     assert 0 < counts[1] < 0.7 * counts[0]
 
 
