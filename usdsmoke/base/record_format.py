@@ -213,6 +213,12 @@ def hash_file(file_path: str | Path) -> str:
         ) from None
 
 
+def hash_values(values: Any) -> str:
+    """SHA-256 of JSON values as 64 hexadecimal digits; the order of keys does not count."""
+    text = json.dumps(values, sort_keys=True, ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 def hash_stream(stream: BinaryIO) -> str:
     """SHA-256 of the rest of an open file as 64 hexadecimal digits."""
     digest = hashlib.sha256()

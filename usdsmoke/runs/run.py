@@ -15,7 +15,6 @@ command, and a result that is being replaced keeps its files until the look laye
 last, points to the new ones. Whatever no layer points to is not a result.
 """
 
-import hashlib
 import json
 import os
 import shutil
@@ -36,7 +35,7 @@ from usdsmoke.base.publish import (
     remove_empty,
     remove_leftovers,
 )
-from usdsmoke.base.record_format import hash_file, new_run_id, utc_now
+from usdsmoke.base.record_format import hash_file, hash_values, new_run_id, utc_now
 from usdsmoke.runs.manifests import CoarseRecord, WindowRecord
 
 _SCENES = "scenes.json"
@@ -311,7 +310,7 @@ def new_run(
     output: Path, description: Mapping[str, Any], stamps: Mapping[str, Sequence[int]]
 ) -> Run:
     """A run that has not begun, in a folder of its own."""
-    key = _digest(description)[:_KEY_LENGTH]
+    key = hash_values(description)[:_KEY_LENGTH]
     folder, number = output / RUNS_FOLDER / key, 2
     while (folder / RUN_RECORD).exists():  # a result with the same key is being replaced
         folder, number = output / RUNS_FOLDER / f"{key}-{number}", number + 1
@@ -333,11 +332,6 @@ def _read_scenes(folder: Path, run_id: str) -> Sequence[Mapping[str, Any]]:
         return ()
 
 
-def _digest(description: Mapping[str, Any]) -> str:
-    text = json.dumps(description, sort_keys=True, ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def _read_json(file_path: Path) -> dict[str, Any]:
     """The values that ``_publish_json`` wrote.
 
@@ -346,7 +340,7 @@ def _read_json(file_path: Path) -> dict[str, Any]:
     """
     values = read_json(file_path.read_text(encoding="utf-8"))
     digest = values.pop(_DIGEST)
-    if digest != _digest(values):
+    if digest != hash_values(values):
         raise ValueError(f"{file_path} is damaged")
     return dict(values)
 
@@ -354,7 +348,7 @@ def _read_json(file_path: Path) -> dict[str, Any]:
 def _publish_json(target: Path, values: Mapping[str, Any], new: bool = False) -> bool:
     """Put JSON values into a file in one step; with ``new`` only if it is not there: whether."""
     plain = json.loads(json.dumps(values))  # as they are read: keys are text, tuples are lists
-    signed = {**plain, _DIGEST: _digest(plain)}
+    signed = {**plain, _DIGEST: hash_values(plain)}
     text = json.dumps(signed, indent=1, sort_keys=True, ensure_ascii=False)
     if new:
         return publish_new(target, text)

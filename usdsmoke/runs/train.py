@@ -4,8 +4,6 @@ A run trains its networks beside measuring the scenes, before the first window: 
 what all windows share.
 """
 
-import hashlib
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +14,7 @@ from usdsmoke import __version__
 from usdsmoke.base.errors import ConfigError, Interrupted, PlanError, count_text
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file
-from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.record_format import hash_file, hash_values
 from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.core.generator.definition import N_ITERATIONS
@@ -212,8 +210,7 @@ def _basis(job: Job, volume: VolumePlan) -> str:
     settings = config.model_dump(include=set(_OF_LOSSES))
     chosen = {"refine": config.grids.refine, "target": config.colour.target, **settings}
     styles = [job.styles[place].sha256 for place in volume.styles]
-    words = json.dumps([__version__, styles, chosen], sort_keys=True)
-    return hashlib.sha256(words.encode()).hexdigest()
+    return hash_values([__version__, styles, chosen])
 
 
 def _train(
