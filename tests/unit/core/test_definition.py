@@ -7,7 +7,8 @@ import pytest
 
 from usdsmoke.core.style import definition
 from usdsmoke.core.style.definition import embedded_hash
-from usdsmoke.core.style.features import LearnedFeatures, OrientedFeatures
+from usdsmoke.core.style.learned import LearnedFeatures
+from usdsmoke.core.style.oriented import OrientedFeatures
 
 FOLDER = Path(definition.__file__).parent
 NUMBERS = [name for name in vars(definition) if name.isupper()]
@@ -29,7 +30,7 @@ def test_every_number_counts(name, monkeypatch):
 @pytest.mark.parametrize("name", [name for name in NUMBERS if name != "REVISION"])
 def test_every_number_is_used_by_the_features(name):
     read = set()
-    for module in ("features", "definition"):
+    for module in ("oriented", "learned", "definition"):
         tree = ast.parse((FOLDER / f"{module}.py").read_text(encoding="utf-8"))
         names = [node for node in ast.walk(tree) if isinstance(node, ast.Name)]
         read |= {node.id for node in names if isinstance(node.ctx, ast.Load)}

@@ -11,7 +11,7 @@ from tests.fixtures.smoke_fixtures import puff, random_style, smoke_of
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.noise import white_noise
-from usdsmoke.core.smoke.spread import luma_detail
+from usdsmoke.core.smoke.spread import Surroundings, luma_detail
 from usdsmoke.core.steps import colour, sharpen
 from usdsmoke.core.steps.sharpen import MOST, lowest, sharpened
 from usdsmoke.core.steps.targets import StepProblem, make_targets
@@ -28,7 +28,7 @@ def test_detail_is_what_three_means_over_three_voxels_leave_of_a_wave(axis, peri
     ijk = smoke.ijk - smoke.ijk.amin(0)
     wave = 0.1 * torch.cos(2 * math.pi * ijk[:, axis] / period)
     colours = 0.5 + torch.stack([wave, wave, wave], dim=1)
-    found = luma_detail(smoke, colours, torch.ones(len(colours)))[:, 0]
+    found = luma_detail(Surroundings(smoke, torch.ones(len(colours))), colours)[:, 0]
     left = 1 - ((1 + 2 * math.cos(2 * math.pi / period)) / 3) ** 3
     inside = (ijk[:, axis] >= 3) & (ijk[:, axis] < 21)  # beyond: no voxel, not a wave
     assert torch.allclose(found[inside], left * wave[inside], atol=1e-5)
@@ -38,16 +38,16 @@ def test_even_colours_and_slopes_have_no_detail():
     smoke = smoke_of(np.ones((12, 12, 12)))
     ijk = (smoke.ijk - smoke.ijk.amin(0)).float()
     slope = (0.2 + 0.02 * ijk[:, :1] + 0.01 * ijk[:, 2:]).expand(-1, 3)
-    found = luma_detail(smoke, slope, torch.ones(len(slope)))[:, 0]
+    found = luma_detail(Surroundings(smoke, torch.ones(len(slope))), slope)[:, 0]
     inside = ((ijk >= 3) & (ijk < 9)).all(dim=1)
     assert found[inside].abs().max() < 1e-6
-    assert luma_detail(smoke, 0 * slope + 0.7, slope[:, 0]).abs().max() < 1e-6
+    assert luma_detail(Surroundings(smoke, slope[:, 0]), 0 * slope + 0.7).abs().max() < 1e-6
 
 
 def test_detail_is_the_difference_from_dense_smoke_and_nothing_where_all_around_is_empty():
     smoke = ActiveSmoke(torch.tensor([[0, 0, 0], [0, 0, 1], [9, 9, 9]]), torch.ones(3), np.eye(4))
     colours = torch.tensor([[0.2] * 3, [0.8] * 3, [0.4] * 3])
-    found = luma_detail(smoke, colours, torch.tensor([1e6, 1.0, 0.0]))[:, 0]
+    found = luma_detail(Surroundings(smoke, torch.tensor([1e6, 1.0, 0.0])), colours)[:, 0]
     # around is .2: two thirds of the luma where detail counts fully
     assert found.tolist() == pytest.approx([0.0, 0.4, 0.0], abs=1e-5)
 
@@ -57,7 +57,8 @@ def test_detail_of_dark_smoke_counts_as_much_less_as_it_is_darker():
     noise = 0.02 * (white_noise(smoke.ijk, 1, 0) - 0.5)
     weight = torch.ones(len(noise))
     bright, dark, black = (
-        luma_detail(smoke, (level + noise).expand(-1, 3), weight) for level in (0.6, 0.15, 0.0)
+        luma_detail(Surroundings(smoke, weight), (level + noise).expand(-1, 3))
+        for level in (0.6, 0.15, 0.0)
     )
     assert torch.allclose(dark, 0.5 * bright, atol=5e-4)
     assert black.abs().max() < 0.05 * bright.abs().max()

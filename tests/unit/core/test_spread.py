@@ -11,7 +11,7 @@ from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, scene_of
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.noise import white_noise
-from usdsmoke.core.smoke.spread import blend_chroma, spread_colours
+from usdsmoke.core.smoke.spread import Surroundings, blend_chroma, spread_colours
 from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.targets import StepProblem, make_targets
@@ -112,7 +112,7 @@ def test_thin_smoke_keeps_what_was_optimised_throughout():
 def test_chroma_is_blended_and_luma_stays():
     smoke, _ = block()
     colours = 0.4 + 0.2 * white_noise(smoke.ijk, 3, 0)
-    found = blend_chroma(smoke, colours, torch.ones(len(colours)))
+    found = blend_chroma(Surroundings(smoke, torch.ones(len(colours))), colours)
     assert torch.allclose(luma(found), luma(colours), atol=1e-6)
     ijk = smoke.ijk - smoke.ijk.amin(0)
     inside = ((ijk > 0) & (ijk < 15)).all(dim=1)
@@ -120,7 +120,9 @@ def test_chroma_is_blended_and_luma_stays():
     # of noise, weights of 1, 4 and 1 sixths along an axis leave the root of a half
     expected = 0.5**1.5
     assert (after[inside].std() / before[inside].std()).item() == pytest.approx(expected, rel=0.05)
-    assert torch.allclose(blend_chroma(smoke, 0 * colours + 0.3, colours[:, 0]), 0 * colours + 0.3)
+    assert torch.allclose(
+        blend_chroma(Surroundings(smoke, colours[:, 0]), 0 * colours + 0.3), 0 * colours + 0.3
+    )
 
 
 def test_chroma_is_that_of_the_denser_smoke():
@@ -128,10 +130,10 @@ def test_chroma_is_that_of_the_denser_smoke():
     smoke = ActiveSmoke(torch.tensor([[9, 0, 3], [0, 0, 1], [0, 0, 0]]), torch.ones(3), np.eye(4))
     colours = torch.tensor([[0.2, 0.3, 0.4], [0.5, 0.1, 0.3], [0.1, 0.5, 0.3]])
     weight = torch.tensor([1.0, 3.0, 1.0])
-    found = blend_chroma(smoke, colours, weight)
+    found = blend_chroma(Surroundings(smoke, weight), colours)
     grey = luma(colours)[:, None]
     chroma = colours - grey
     assert torch.allclose(found[0], colours[0], atol=1e-6)
     assert torch.allclose(found[1], grey[1] + (12 * chroma[1] + chroma[2]) / 13, atol=1e-6)
     assert torch.allclose(found[2], grey[2] + (3 * chroma[1] + 4 * chroma[2]) / 7, atol=1e-6)
-    assert torch.allclose(blend_chroma(smoke, colours, torch.zeros(3)), colours)
+    assert torch.allclose(blend_chroma(Surroundings(smoke, torch.zeros(3)), colours), colours)

@@ -1,5 +1,7 @@
 """Colours of voxels and of those around them: what is unknown, mixed hues, detail."""
 
+from functools import cached_property, partial
+
 import torch
 from torch import Tensor
 
@@ -10,7 +12,9 @@ from usdsmoke.core.smoke.active import (
     flat_key,
     sample_colours,
 )
+from usdsmoke.core.smoke.memory import SHARED_ROWS, share_rows
 from usdsmoke.core.smoke.srgb import luma
+from usdsmoke.core.smoke.tasks import run_tasks
 
 KNOWN = 0.99  # trust above which a voxel keeps its colour: the rest of it would not be seen
 ENOUGH = 0.5  # mean trust of a block's voxels at which it needs no larger block
@@ -70,7 +74,73 @@ def _around(smoke: ActiveSmoke, weighted: Tensor, trust: Tensor, positions: Tens
     return sample_colours(coarse, part * own + (1 - part) * outer, positions)[0]
 
 
-def blend_chroma(smoke: ActiveSmoke, colours: Tensor, weight: Tensor) -> Tensor:
+class Surroundings:
+    """Voxels with those beside them, whose weighted means are taken.
+
+    Who is beside whom is looked up once, when it is first asked.
+
+    Args:
+        smoke: the voxels.
+        weight: [N] >= 0, how much a voxel counts.
+    """
+
+    def __init__(self, smoke: ActiveSmoke, weight: Tensor) -> None:
+        self._smoke, self._weight = smoke, weight[:, None]
+
+    def mean(self, values: Tensor, own: float, times: int) -> Tensor:
+        """Means [N C] of values [N C], ``times`` in turn; where all weights are 0, the values.
+
+        Args:
+            values: of each voxel.
+            own: how much a voxel counts more than the next one along an axis.
+            times: how often they are taken.
+        """
+        weighted = torch.cat([values * self._weight, self._weight], dim=1)
+        # the last row stands for voxels that are not there
+        summed = torch.cat([weighted, torch.zeros_like(weighted[:1])])
+        for before, behind in self._beside * times:
+            summed = _with_neighbours(summed, before, behind, own)
+        total = summed[:-1, -1:]
+        mean = summed[:-1, :-1] / total.clamp_min(torch.finfo(total.dtype).tiny)
+        return torch.where(total > 0, mean, values)
+
+    @cached_property
+    def _beside(self) -> list[tuple[Tensor, Tensor]]:
+        """For each axis, the rows [N] of the voxels before and behind each one; N where none is."""
+        ijk = self._smoke.ijk
+        n, low = len(ijk), ijk.amin(0)
+        shape = ijk.amax(0) - low + 2  # a voxel of margin: no row of voxels meets the next one
+        known, order = flat_key(ijk, low, shape).sort()
+        rows = order.to(torch.int32)
+
+        def along(stride: Tensor | int) -> tuple[Tensor, Tensor]:
+            sought = known + stride
+            row = torch.searchsorted(known, sought).clamp_max(n - 1)
+            exists = known[row] == sought
+            first, second = rows[exists], rows[row[exists]]
+            before, behind = torch.full_like(rows, n), torch.full_like(rows, n)
+            before[second], behind[first] = first, second
+            return before, behind
+
+        strides = (shape[1] * shape[2], shape[2], 1)
+        return run_tasks([partial(along, stride) for stride in strides])
+
+
+def _with_neighbours(values: Tensor, before: Tensor, behind: Tensor, own: float) -> Tensor:
+    """``own`` times each of values [N+1 C] plus those of two rows [N]; the last one stays."""
+    found = torch.empty_like(values)
+    found[-1] = values[-1]
+
+    def add(part: slice) -> None:
+        here = torch.mul(values[part], own, out=found[part])
+        here += values.index_select(0, before[part])
+        here += values.index_select(0, behind[part])
+
+    share_rows(add, len(before), SHARED_ROWS, values.device)
+    return found
+
+
+def blend_chroma(around: Surroundings, colours: Tensor) -> Tensor:
     """Colours [N 3] whose chroma is a mean over each voxel and those beside it; their luma stays.
 
     They may leave [0, 1]. Linear, so changes of colours are blended as colours are.
@@ -79,15 +149,14 @@ def blend_chroma(smoke: ActiveSmoke, colours: Tensor, weight: Tensor) -> Tensor:
     in no others: speckle. Eyes see hues less finely than light and dark.
 
     Args:
-        smoke: the voxels.
+        around: the voxels. Where all weights around are 0 the colours stay.
         colours: display-encoded [N 3].
-        weight: [N] >= 0, how much a voxel counts. Where all around is 0 the colours stay.
     """
     grey = luma(colours)[:, None]
-    return grey + _mean_around(smoke, colours - grey, weight, OWN, 1)
+    return grey + around.mean(colours - grey, OWN, 1)
 
 
-def luma_detail(smoke: ActiveSmoke, colours: Tensor, weight: Tensor) -> Tensor:
+def luma_detail(around: Surroundings, colours: Tensor) -> Tensor:
     """Luma of each voxel less its mean around, [N 1]: what strokes of few voxels are made of.
 
     Where the mean is below ``DARK``, as much less as it is darker: dark parts have all of their
@@ -95,48 +164,9 @@ def luma_detail(smoke: ActiveSmoke, colours: Tensor, weight: Tensor) -> Tensor:
     each axis, which is close to a Gaussian with a standard deviation of 1.4 voxels.
 
     Args:
-        smoke, colours, weight: as of ``blend_chroma``; where all around is 0 there is no detail.
+        around: the voxels; where all weights around are 0 there is no detail.
+        colours: display-encoded [N 3].
     """
     grey = luma(colours)[:, None]
-    mean = _mean_around(smoke, grey, weight, 1.0, WIDE)
+    mean = around.mean(grey, 1.0, WIDE)
     return (grey - mean) * (mean / DARK).clamp(0, 1)
-
-
-def _mean_around(
-    smoke: ActiveSmoke, values: Tensor, weight: Tensor, own: float, times: int
-) -> Tensor:
-    """Means [N C] of each voxel and those beside it, ``times`` in turn; where all weights are 0,
-    the values themselves.
-
-    Args:
-        values: [N C].
-        weight: [N] >= 0, how much a voxel counts.
-        own: how much a voxel counts more than the next one along an axis.
-    """
-    summed = torch.cat([values * weight[:, None], weight[:, None]], dim=1)
-    neighbours = _neighbours(smoke)
-    for _ in range(times):
-        for before, behind in neighbours:
-            padded = torch.cat([summed, torch.zeros_like(summed[:1])])
-            summed = own * summed + padded.index_select(0, before)
-            summed += padded.index_select(0, behind)
-    total = summed[:, -1:]
-    mean = summed[:, :-1] / total.clamp_min(torch.finfo(total.dtype).tiny)
-    return torch.where(total > 0, mean, values)
-
-
-def _neighbours(smoke: ActiveSmoke) -> list[tuple[Tensor, Tensor]]:
-    """For each axis, the rows [N] of the voxels before and behind each one; N where none is."""
-    n, low = len(smoke.ijk), smoke.ijk.amin(0)
-    shape = smoke.ijk.amax(0) - low + 2  # a voxel of margin: no row of voxels meets the next one
-    known, order = flat_key(smoke.ijk, low, shape).sort()
-    found = []
-    for stride in (shape[1] * shape[2], shape[2], 1):
-        sought = known + stride
-        row = torch.searchsorted(known, sought).clamp_max(n - 1)
-        exists = known[row] == sought
-        first, second = order[exists], order[row[exists]]
-        before, behind = torch.full_like(order, n), torch.full_like(order, n)
-        before[second], behind[first] = first, second
-        found.append((before, behind))
-    return found

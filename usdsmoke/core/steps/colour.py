@@ -28,7 +28,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colour
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import SHARED_ROWS, LazyList, share_rows
 from usdsmoke.core.smoke.noise import white_noise
-from usdsmoke.core.smoke.spread import blend_chroma, luma_detail, spread_colours
+from usdsmoke.core.smoke.spread import Surroundings, blend_chroma, luma_detail, spread_colours
 from usdsmoke.core.smoke.srgb import BRIGHTEST, encode_srgb, luma
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
@@ -314,19 +314,18 @@ def limit_of(problem: StepProblem) -> float:
 
 def _rules(problem: StepProblem, painted: ActiveSmoke, begun: Tensor | None) -> ColourRules:
     """The rules of an octave; ``begun`` are the colours of a start that is nearly right."""
-    alone = _alone(painted, problem.scene)
-    blended = partial(_blended, painted, alone, begun)
-    detail = partial(luma_detail, painted, weight=alone)
+    around = Surroundings(painted, _alone(painted, problem.scene))
+    blended, detail = partial(_blended, around, begun), partial(luma_detail, around)
     # what scatters light has the hues of its albedo
     hues = problem.targets.hues if problem.lighting is None else None
     return ColourRules(limit_of(problem), blended, detail, hues)
 
 
-def _blended(painted: ActiveSmoke, weight: Tensor, begun: Tensor | None, colours: Tensor) -> Tensor:
+def _blended(around: Surroundings, begun: Tensor | None, colours: Tensor) -> Tensor:
     """Colours [N 3] with blended hues; where they begin with a neighbour's, of the change alone."""
     if begun is None:
-        return blend_chroma(painted, colours, weight)
-    return begun + blend_chroma(painted, colours - begun, weight)
+        return blend_chroma(around, colours)
+    return begun + blend_chroma(around, colours - begun)
 
 
 def _seen(

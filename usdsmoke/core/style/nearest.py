@@ -44,13 +44,14 @@ def nearest_distance(
     n_draws = max(-(-len(chosen) // MOST_LOOKED_UP), 1)
     if n_draws > 1 or weights is not None:
         chosen = chosen[draw % n_draws :: n_draws]
-        values = values.index_select(1, chosen)
+        # rows, as features lie in memory, and as their slopes then do
+        values = values.T.index_select(0, chosen).T
     if values.shape[1] == 0:
         return values.sum()
     with torch.no_grad():
         half_squares = 0.5 * style.square().sum(0)
         nearness = torch.addmm(half_squares, values.T, style, beta=-1)
-        wanted = style[:, _largest(nearness)]
+        wanted = style.T.index_select(0, _largest(nearness)).T
     square = (values - wanted).square().mean(0)
     if weights is None:
         return square.mean()

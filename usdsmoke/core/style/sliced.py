@@ -66,9 +66,8 @@ class _Sliced(torch.autograd.Function):
     ) -> Tensor:
         kept, share = _shares(values, weights)
         ctx.kept, ctx.n_samples = kept, values.shape[1]
-        samples = axes @ values
-        if kept is not None:
-            samples = samples.index_select(1, kept)
+        # samples by channels, as the maps lie in memory
+        samples = axes @ (values if kept is None else values.T.index_select(0, kept).T)
         if samples.numel() == 0:
             ctx.save_for_backward(axes, samples)
             return values.new_zeros(())
@@ -80,10 +79,14 @@ class _Sliced(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None, None, None]:
         axes, pull = ctx.saved_tensors
+        slopes = pull.T @ ((2 * upstream) * axes)
         if ctx.kept is not None:
-            pull = pull.new_zeros(len(axes), ctx.n_samples).index_copy_(1, ctx.kept, pull)
-        # samples by channels, as the maps lie in memory
-        return (pull.T @ ((2 * upstream) * axes)).T, None, None, None, None
+            kept, n_channels = ctx.kept, axes.shape[1]
+            is_left_out = torch.ones(ctx.n_samples, dtype=torch.bool, device=kept.device)
+            is_left_out[kept] = False
+            found = slopes.new_empty(ctx.n_samples, n_channels).index_copy_(0, kept, slopes)
+            slopes = found.index_fill_(0, is_left_out.nonzero().squeeze(1), 0)
+        return slopes.T, None, None, None, None
 
 
 def _shares(values: Tensor, weights: Tensor | None) -> tuple[Tensor | None, Tensor]:
