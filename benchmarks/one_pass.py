@@ -215,14 +215,15 @@ def _curves(
     work = problem, trained.generator, Ways(neighbour=_carried(frames[-2:], style, problem))
     where = f"{name}, {OTHER if given.other else 'example plume'}"
     yield from _rows(where, (frames[-1], style), work, gallery, given)
-    for what, other in others.items():
+    is_first = name == Path(given.styles[0]).stem
+    for what, other in others.items():  # drawn with one style
         own = _config(max(other.density.values.shape))
         problem = _problem(other, style, _measure([other], own), own)
-        work = problem, trained.generator, Ways()
-        yield from _rows(f"{name}, {what}, unseen", (other, style), work, None, given)
+        work, drawn = (problem, trained.generator, Ways()), gallery if is_first else None
+        yield from _rows(f"{name}, {what}, unseen", (other, style), work, drawn, given)
     if given.own and REAL in others:
         yield from _own(name, style, others[REAL], Ways(cold=()), gallery, given)
-    if given.shown and name == Path(given.styles[0]).stem:
+    if given.shown and is_first:
         yield from _coherence(name, style, frames, trained.generator, config)
 
 

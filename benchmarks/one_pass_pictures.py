@@ -28,7 +28,7 @@ SHOWN = {  # ways and the azimuths that they are drawn from
 }
 FINER = 3  # pixels along a voxel
 LOOKS = {"noise": "C0o-", "neighbour": "C1s-", "network": "C2^-"}  # of starts in a diagram
-TITLE = "A trained network beside iterations, on a frame that it was not trained on"
+TITLE = "A trained network beside iterations, on frames and shots that it was not trained on"
 
 
 @dataclass
