@@ -14,8 +14,17 @@ from types import ModuleType
 import numpy as np
 
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.pictures import read_style_image
 
-__all__ = ["EXAMPLES", "fading_mask", "frame_of", "load_example", "paint_styles", "simulate_smoke"]
+__all__ = [
+    "EXAMPLES",
+    "fading_mask",
+    "frame_of",
+    "load_example",
+    "paint_styles",
+    "simulate_smoke",
+    "style_pixels",
+]
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 FRAMES_PER_SECOND = 24
@@ -43,6 +52,11 @@ def paint_styles(names: list[str], size: int = 512, seed: int = 7) -> dict[str, 
         name: np.asarray(paintings[name](size, seed).convert("RGB"), np.float32) / 255.0
         for name in names
     }
+
+
+def style_pixels(name: str, size: int = 512) -> np.ndarray:
+    """A style by the name of an example or of an image file, display-encoded [H W 3]."""
+    return read_style_image(Path(name)).pixels if "." in name else paint_styles([name], size)[name]
 
 
 def simulate_smoke(

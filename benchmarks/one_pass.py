@@ -27,7 +27,7 @@ import torch
 
 from benchmarks.circumstances import publish, table_page
 from benchmarks.coherence_runs import simulate_plume
-from benchmarks.control_scenes import paint_styles
+from benchmarks.control_scenes import style_pixels
 from benchmarks.equal_judge import Judge, read_real_plume
 from benchmarks.long_shot import STEP, fit_line
 from benchmarks.one_pass_pictures import Gallery
@@ -50,7 +50,6 @@ from usdsmoke.core.training.canvas import Canvas
 from usdsmoke.core.training.frames import train_on_frames
 from usdsmoke.core.training.train import Trained
 from usdsmoke.core.views.scene import Scene, measure_scene
-from usdsmoke.pictures import read_style_image
 
 __all__ = ["Row", "Ways", "main", "measure_frame"]
 
@@ -207,7 +206,7 @@ def _curves(
     given: argparse.Namespace,
 ) -> Iterator[str]:
     """The lines of the table for a style: an image file, or the name of an example."""
-    style = _read_style(name)
+    style = style_pixels(name)
     name, config = Path(name).stem, _config(max(frames[0].density.values.shape))
     trained, seconds = _train(frames, style, config, given)
     yield _line(name, f"training, {trained.n_iterations} iterations", Row("", 0.0, seconds))
@@ -247,10 +246,6 @@ def _own(
         generator = fitted.generator
     work = _problem(frame, style, scene, config), generator, ways
     yield from _rows(where, (frame, style), work, gallery, given)
-
-
-def _read_style(name: str) -> np.ndarray:
-    return read_style_image(Path(name)).pixels if "." in name else paint_styles([name])[name]
 
 
 def _rows(
@@ -330,7 +325,7 @@ def _coherence(
 
 def _long_shot(name: str, given: argparse.Namespace) -> Iterator[str]:
     """Whether a network paints the frames of a long shot alike: a line through their losses."""
-    style, frames = _read_style(name), simulate_plume(given.resolution, given.long)
+    style, frames = style_pixels(name), simulate_plume(given.resolution, given.long)
     name = Path(name).stem
     config = _config(max(frames[0].density.values.shape))
     scene = _measure(frames, config)
@@ -377,7 +372,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     gallery = Gallery() if given.picture else None
     if given.large:
         frame = read_real_plume(file_path, sys.maxsize)
-        work = [(Path(name).stem, _read_style(name), frame) for name in given.styles]
+        work = [(Path(name).stem, style_pixels(name), frame) for name in given.styles]
         made = [partial(_own, *one, Ways(), gallery, given) for one in work]
     elif given.long:
         made = [partial(_long_shot, given.styles[0], given)]

@@ -1,9 +1,9 @@
 """The error budget's optimiser rows against runs four times as long.
 
-    python -m benchmarks.optimiser_error [--width 32] [--data FOLDER] [--report FILE]
+    python -m benchmarks.optimiser_error [--width 32] [--styles strokes A.jpg] [--data FOLDER]
 
 The shape step and the colour step run on small copies of the example plume and, where its file is
-there, of the real plume, with two styles: with half of the iterations, with the default
+there, of the real plume, with each style: with half of the iterations, with the default
 iterations, and (colour alone) stopped early by a large tolerance. Each run is repeated with four
 times the iterations that it did in each octave. Both ends are judged over the whole pool of views,
 each drawn once: the step is run again from its result with a vanishing rate.
@@ -20,7 +20,7 @@ import numpy as np
 import torch
 
 from benchmarks.circumstances import publish, table_page
-from benchmarks.control_scenes import paint_styles
+from benchmarks.control_scenes import style_pixels
 from benchmarks.equal_judge import find_scenes
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
@@ -34,7 +34,6 @@ from usdsmoke.core.views.scene import measure_scene
 
 __all__ = ["LIMITS", "Row", "main", "measure_step"]
 
-STYLES = ("strokes", "waves")
 LONGER = 4
 STILL = 1e-12  # a learning rate that moves nothing
 LIMITS = {  # name: share of the iterations, tolerance
@@ -131,12 +130,14 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--width", type=int, default=32, help="voxels across the smoke's box")
+    parser.add_argument("--styles", nargs="+", default=["strokes", "waves"], help="names or images")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
     parser.add_argument("--report", type=Path, help="Markdown file for the table")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     frames, _ = find_scenes(["plume", "real_plume"], options.width, options.data)
-    styles, rows = paint_styles(list(STYLES), 256), []
+    styles = {Path(name).stem: style_pixels(name, 256) for name in options.styles}
+    rows = []
     for scene, frame in frames.items():
         for name, style in styles.items():
             for step in ("shape", "colour"):
