@@ -5,7 +5,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.style.convolve import Filters
+from usdsmoke.core.style.convolve import Filters, channels_last, padded, unpadded
 
 SIZES = [(12, 15), (11, 14), (13, 9), (7, 7)]  # even and odd ones
 
@@ -47,3 +47,24 @@ def test_slopes_in_single_precision_are_off_by_thousandths_at_random(n_in):
 def test_values_are_not_rounded():
     maps, weight, bias, _ = drawn(3, 5, (20, 21), torch.float32)
     assert torch.equal(Filters(weight, bias)(maps), F.conv2d(maps, weight, bias))
+
+
+@pytest.mark.parametrize("shape", [(6, 7), (1, 5), (2, 2), (1, 1)])
+@pytest.mark.parametrize("border", [1, 3])
+def test_slopes_by_padded_maps_are_gathered_at_the_border(shape, border):
+    maps = torch.randn(1, 2, *shape, dtype=torch.float64, requires_grad=True)
+    wide = padded(maps, border)
+    upstream = torch.randn(wide.shape, dtype=torch.float64)
+    (expected,) = torch.autograd.grad(wide, maps, upstream)
+    assert torch.allclose(unpadded(upstream, border), expected, rtol=0, atol=1e-12)
+
+
+def test_slopes_of_single_pictures_are_seen_as_channels_last():
+    """Rows of pixels, as slopes come from products, leave open how far the next picture is."""
+    rows = torch.arange(2 * 3 * 5.0).view(6, 5)
+    maps = rows.T.view(5, 2, 3)[None]
+    found = channels_last(maps)
+    assert torch.equal(found, maps)
+    assert found.is_contiguous(memory_format=torch.channels_last)
+    assert found.data_ptr() == rows.data_ptr()
+    assert torch.equal(channels_last(maps[:, 1:4]), maps[:, 1:4])

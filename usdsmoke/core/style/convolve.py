@@ -94,7 +94,7 @@ def pixel_rows(maps: Tensor) -> Tensor:
 
 
 def channels_last(maps: Tensor) -> Tensor:
-    """Maps [1 C H W] that torch takes for channels last.
+    """The same maps [1 C H W]; if the channels of a pixel lie side by side, torch sees it.
 
     It reads that off the stride between pictures too, which views of a single one leave open.
     """
