@@ -55,7 +55,7 @@ def paint_styles(names: list[str], size: int = 512, seed: int = 7) -> dict[str, 
 
 
 def style_pixels(name: str, size: int = 512) -> np.ndarray:
-    """A style by the name of an example or of an image file, display-encoded [H W 3]."""
+    """A style by the name of an example, painted at that size, or of an image file; [H W 3]."""
     return read_style_image(Path(name)).pixels if "." in name else paint_styles([name], size)[name]
 
 

@@ -88,18 +88,14 @@ def unpadded(slope: Tensor, border: int) -> Tensor:
     return slope[:, :, border:-border, border:-border]
 
 
-def pixel_rows(maps: Tensor) -> Tensor:
-    """Maps [1 C H W] as [H*W C]; the same memory where they lie channels last."""
-    return maps.permute(0, 2, 3, 1).flatten(0, 2)
-
-
 def channels_last(maps: Tensor) -> Tensor:
     """The same maps [1 C H W]; if the channels of a pixel lie side by side, torch sees it.
 
     It reads that off the stride between pictures too, which views of a single one leave open.
     """
     _, n_channels, height, width = maps.shape
-    return pixel_rows(maps).view(1, height, width, n_channels).permute(0, 3, 1, 2)
+    rows = maps.permute(0, 2, 3, 1).flatten(0, 2)
+    return rows.view(1, height, width, n_channels).permute(0, 3, 1, 2)
 
 
 def empty_maps(like: Tensor, n_channels: int, height: int, width: int) -> Tensor:

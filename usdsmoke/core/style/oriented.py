@@ -134,10 +134,10 @@ def _blur(image: Tensor, stride: int = 1) -> Tensor:
 
 
 def _blur_slope(upstream: Tensor) -> Tensor:
-    """The slope by an image of one by its ``_blur`` without strides."""
+    """The slope by an image of one by its ``_blur`` without strides, channels last."""
     across, down = _binomial(upstream)
     channels, twice = upstream.shape[1], 2 * _REACH
-    wide = F.conv2d(channels_last(upstream), across, padding=(0, twice), groups=channels)
+    wide = F.conv2d(upstream, across, padding=(0, twice), groups=channels)
     return unpadded(F.conv2d(wide, down, padding=(twice, 0), groups=channels), _REACH)
 
 

@@ -81,11 +81,7 @@ class _Sliced(torch.autograd.Function):
         axes, pull = ctx.saved_tensors
         slopes = pull.T @ ((2 * upstream) * axes)
         if ctx.kept is not None:
-            kept, n_channels = ctx.kept, axes.shape[1]
-            is_left_out = torch.ones(ctx.n_samples, dtype=torch.bool, device=kept.device)
-            is_left_out[kept] = False
-            found = slopes.new_empty(ctx.n_samples, n_channels).index_copy_(0, kept, slopes)
-            slopes = found.index_fill_(0, is_left_out.nonzero().squeeze(1), 0)
+            slopes = slopes.new_zeros(ctx.n_samples, axes.shape[1]).index_copy_(0, ctx.kept, slopes)
         return slopes.T, None, None, None, None
 
 
