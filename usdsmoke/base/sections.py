@@ -137,6 +137,10 @@ class OpticsConfig(Section):
         30.0, "optical depth that the thick columns should have; used to choose gamma if it is "
         "unset", gt=0, le=1e6)
     depth_shape: float = setting(1.3, "the same for gamma_shape", gt=0, le=1e6)
+    thicken: float = setting(
+        10.0, "times as dense as in the source that the thinnest smoke becomes, so that it shows "
+        "the style; smoke between it and the thick columns becomes denser too, and they keep their "
+        "opacity; 1: as in the source", ge=1, le=1000)
     frames: str = setting(
         "", "timeCodes that extinction and picture size are measured on, such as 1-2; empty: three "
         "of the stylized ones; a look that is made longer keeps its own")

@@ -294,7 +294,7 @@ class Smoke:
             self._scenes[prim_path] = measure_scene(
                 [self._frame(volume, frame) for frame in spread(filled)],
                 self.config.views,
-                self.config.optics,
+                self.config.optics.replace(thicken=1.0),
                 self.whole.up_axis,
                 self.config.grids.refine,
             )

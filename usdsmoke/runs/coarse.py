@@ -55,6 +55,8 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
         if config.colour.target == "albedo" and config.optics.exposure is None:
             from usdsmoke.core.steps.light_share import white_exposure
 
+            if (curve := scene.thickening) is not None:
+                frames = [curve.of_frame(frame) for frame in frames]
             scene = dataclasses.replace(scene, stops=white_exposure(frames, config, scene))
         scenes.append(plain_values(dataclasses.asdict(scene)))
     return scenes

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import torch
 
     from usdsmoke.core.smoke.active import ActiveSmoke
+    from usdsmoke.core.smoke.thicken import Thickening
     from usdsmoke.core.views.scene import Scene
 
 _SHORTEST = 24  # voxels along the longest side of the small copy: less shows no style
@@ -30,9 +31,9 @@ _SHORTEST = 24  # voxels along the longest side of the small copy: less shows no
 class Case:
     """What sweeps measure.
 
-    ``scene`` and ``frame`` are those of a run. ``small`` is the same frame with its voxels merged
-    in blocks until its longest side has at most ``longest``. ``small_scene`` has pictures to match
-    and the same extinction.
+    ``scene`` and ``frame`` are those of a run, with the density thickened. ``small`` is the same
+    frame with its voxels merged in blocks until its longest side has at most ``longest``.
+    ``small_scene`` has pictures to match and the same extinction.
     """
 
     job: Job
@@ -43,6 +44,7 @@ class Case:
     scene: "Scene"
     longest: int  # voxels along the longest side of the small copy, at most
     seconds: float  # that the whole report may take
+    thickening: "Thickening | None" = None  # of all frames that are read
     allowed: float = math.inf  # seconds that the current sweep may take, set by the engine
     cache: dict[Hashable, Any] = field(default_factory=dict)  # what several sweeps share
 
@@ -138,6 +140,10 @@ class Case:
 
     def read_with_velocity(self, frame: FramePlan) -> VolumeFrame:
         """A frame with its velocity, where it has one, even if the configured run reads none."""
+        found = self._read_with_velocity(frame)
+        return found if self.thickening is None else self.thickening.of_frame(found)
+
+    def _read_with_velocity(self, frame: FramePlan) -> VolumeFrame:
         volume, config = self.volume, self.config
         if frame.velocity is not None or config.stage.motion == "estimate":
             return self.reader.read(volume, frame)
@@ -168,8 +174,11 @@ def open_case(job: Job, longest: int, seconds: float) -> Case:
     place = next(n for n, other in enumerate(job.plan.volumes) if other is volume)
     scene = Scene(**measure_scenes(reader, job.plan)[place])
     frame = reader.read(volume, chosen)
-    scene = replace(scene, camera=frame.camera)
-    case = Case(job, volume, reader, chosen, frame, scene, longest, seconds)
+    curve = scene.thickening
+    if curve is not None:
+        frame = curve.of_frame(frame)
+    scene = replace(scene.without_thickening(), camera=frame.camera)
+    case = Case(job, volume, reader, chosen, frame, scene, longest, seconds, thickening=curve)
     if len(case.smoke.ijk) == 0:
         raise PlanError(
             f"timeCode {frame.time_code:g} of <{volume.source.prim_path}> holds no positive "

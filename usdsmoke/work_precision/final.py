@@ -173,7 +173,8 @@ def _draw(
     device, place = torch.device("cpu"), look.volume.density.field_to_stage
     frame = VolumeFrame(0.0, look.density, place)
     scene = replace(
-        measure_scene([frame], config.views, config.optics, up_axis), gamma_w=look.gamma_w
+        measure_scene([frame], config.views, config.optics.replace(thicken=1.0), up_axis),
+        gamma_w=look.gamma_w,
     )
     smoke = activate(look.density, place, device)
     targets = make_targets(images, scene, config, device)

@@ -108,9 +108,10 @@ def _open_coarse(factor: int, frame: VolumeFrame, context: WindowContext) -> Ope
     if fine.left_out:
         return fine
     coarse = dataclasses.replace(frame, density=coarsen_field(fine.density, factor))
-    grids = context.config.grids.replace(refine=1)  # it is refined already
-    config = context.config.replace(grids=grids)
-    return open_frame(coarse, dataclasses.replace(context, config=config))
+    # it is refined and thickened already
+    config = context.config.replace(grids=context.config.grids.replace(refine=1))
+    scene = context.scene.without_thickening()
+    return open_frame(coarse, dataclasses.replace(context, config=config, scene=scene))
 
 
 def _coarse_scene(scene: Scene, factor: int) -> Scene:

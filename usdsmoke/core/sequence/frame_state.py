@@ -40,6 +40,7 @@ from usdsmoke.core.views.scene import Scene, frame_scene
 from usdsmoke.core.views.visibility import (
     EffectMask,
     Visibility,
+    changed_in_part,
     effect_mask,
     frame_visibility,
     mask_warnings,
@@ -311,16 +312,23 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
         scene, targets = frame_scene(scene, config.optics.gamma), targets.weighted(config.style)
     check_half(frame.density, frame.time_code, scene.gamma_w, config)
 
-    # find the smoke that is visible and not masked
-    density = refine_field(frame.density, shared.grids.refine)
+    # thicken the smoke, and find what is visible and not masked
+    density = raw = refine_field(frame.density, shared.grids.refine)
+    if (curve := scene.thickening) is not None:
+        density = curve.of_field(raw)
     source = smoke = activate(density, frame.density_to_stage, context.device)
     limit = max_displacement(source, shared.shape.reach) if len(source.ijk) else 0.0
     visibility = frame_visibility(frame, source, limit, shared.views.camera_margin)
     mask = effect_mask(frame, visibility)
+    if curve is not None and (mask is not None or config.optimize.strength < 1):
+        density = changed_in_part(raw, density, source, mask, config.optimize.strength)
+        source = smoke = activate(density, frame.density_to_stage, context.device)
     left_out, n_outside = _why_left_out(source, mask, visibility, config), None
+    if left_out:
+        density = raw
     if visibility is not None:
         n_outside = int((visibility.at(source.positions) == 0).sum())
-    warnings = (*_density_warnings(density, source), *mask_warnings(frame, mask, source))
+    warnings = (*_density_warnings(raw, source), *mask_warnings(frame, mask, source))
     sight = None
     if frame.camera is not None and len(source.ijk):
         sight = sight_of(source, frame.camera, scene.gamma_w)

@@ -9,5 +9,6 @@
 - ``spread``: colours for voxels of which too little is known, from those around them
 - ``srgb``: colour spaces
 - ``tasks``: work shared among threads, with the same bits for any number of them; without torch
+- ``thicken``: thin smoke made more opaque
 - ``voxels``: the voxels that hold smoke, as numpy arrays
 """

@@ -11,5 +11,6 @@
 - ``segments``, ``cells``, ``columns``: rays cut at voxels, in any direction and along an axis
 - ``lighting``: the stage's light, scattered by the smoke; ``bounces``: more than once
 - ``shadows``: how much of a distant light arrives at a point
+- ``column_depths``: columns of smoke along pixels: what the thick ones have, and what keeps it
 - ``scene``: what all frames share: extinction, exposure, pixel size
 """

@@ -13,11 +13,20 @@ import numpy as np
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.sections import OpticsConfig, ViewsConfig
 from usdsmoke.base.volume import CameraSource, VolumeFrame
-from usdsmoke.core.smoke.levels import bounded, ranked
+from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.schedule import pool_size, view_ranges
+from usdsmoke.core.smoke.thicken import Thickening
 from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
 from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
-from usdsmoke.core.views.footprint import splat
+from usdsmoke.core.views.column_depths import (
+    dense_columns,
+    frame_sizes,
+    hidden_mass,
+    keep_thick_columns,
+    thick_columns,
+    thickened,
+    weighted_median,
+)
 from usdsmoke.core.views.frustum import nearest_footprint, visible_part
 
 if TYPE_CHECKING:
@@ -27,11 +36,7 @@ PICTURE_MARGIN = 2  # pixels around the smoke
 LEAST_OPACITY = 1e-12  # thinner smoke is not brightened: float32 pictures hold no more
 _SIDEWAYS = 45.0  # half a range of azimuth, degrees, from which on smoke is seen from the side
 LEAST_PIXELS = 16  # along the smoke, even if the camera is far away: fewer hold no structure
-DENSE_COLUMNS = 0.95  # rank of the columns that are dense
-FRINGE = 1e-3  # of those: columns below are not counted as smoke
 NEARLY_CUBIC = 0.99  # share of the cube's edge; shorter edges of a voxel decide the pixels
-MUCH = 8.0  # times the thick columns
-_SEVERAL = 10  # columns; fewer are an outlier
 EXPOSED_OPACITY = 0.7  # thick columns with less opacity are exposed to this one
 
 
@@ -59,6 +64,17 @@ class Scene:
     stops: float = 0.0  # exposure of the pictures: 2^stops times the light of the stage
     misfit: str = ""  # why frames do not start from the network that they should; "": they do
     network: str = ""  # SHA-256 of the network's file that the run has trained; "": none
+    thicken: float = 1.0  # ``optics.thicken``
+    knee: float = 0.0  # density, of its curve; 0: density stays as it is
+
+    @property
+    def thickening(self) -> Thickening | None:
+        """What is done to the density of the source; None: nothing."""
+        return Thickening(self.thicken, self.knee) if self.knee > 0 else None
+
+    def without_thickening(self) -> "Scene":
+        """The scene for smoke that is thickened already."""
+        return replace(self, knee=0.0)
 
 
 def _corners(smoke: Placed) -> np.ndarray:
@@ -184,58 +200,6 @@ def _middle_view(
     return fit_view(view, smoke)
 
 
-def _columns(smoke: Voxels, view: View) -> tuple[np.ndarray, int]:
-    """Column integrals of density where there is smoke, [P], density x stage unit; and how many
-    there are with those that are left out.
-
-    Pixels that only the smoke's fringe reaches are left out, by what the dense columns have: the
-    densest one may be that of one voxel.
-
-    Args:
-        view: from ``fit_view``.
-    """
-    columns = splat(bounded(smoke), view)
-    some = columns[columns > 0]
-    return some[some > FRINGE * ranked(some, DENSE_COLUMNS)], len(some)
-
-
-def _thick_columns(
-    seen: Sequence[tuple[Voxels, View]], percentile: float
-) -> tuple[list[np.ndarray], float, float]:
-    """The columns of each frame, what thick ones have, and the share of all that is as thick.
-
-    Frames count by their number of voxels: a wisp before or after the smoke hardly does, and one
-    frame with another unit has no larger weight.
-    """
-    found = [_columns(*pair) for pair in seen]
-    columns, sizes = [dense for dense, _ in found], _sizes(seen)
-    thick = _median([float(np.percentile(c, percentile)) for c in columns], sizes)
-    return columns, thick, _median([float((c >= thick).sum() / n) for c, n in found], sizes)
-
-
-def _sizes(seen: Sequence[tuple[Voxels, View]]) -> list[int]:
-    return [len(smoke.ijk) for smoke, _ in seen]
-
-
-def _median(values: Sequence[float], weights: Sequence[float]) -> float:
-    """The median of weighted values; the usual one where all weigh the same.
-
-    >>> _median([30.0, 1.0, 2.0], [1, 1, 9])
-    2.0
-    """
-    order = np.argsort(values)
-    weight = np.asarray(weights, float)[order]
-    middles = weight.cumsum() - weight / 2
-    return float(np.interp(weight.sum() / 2, middles, np.asarray(values)[order]))
-
-
-def _hidden_mass(smoke: Voxels, view: View, thick: float) -> float:
-    """The share of the mass in columns ``MUCH`` times as thick; 0 where those are few."""
-    columns = splat(smoke, view)
-    dense = columns[columns > MUCH * thick]
-    return float(dense.sum() / columns.sum()) if len(dense) >= _SEVERAL else 0.0
-
-
 def measure_scene(
     frames: Sequence[VolumeFrame],
     views: ViewsConfig,
@@ -277,7 +241,11 @@ def measure_scene(
     coarse = max(fine, voxel)
     main = [(smoke.main_part(), camera) for smoke, camera in visible or filled]
     seen = [(part, _middle_view(part, views, up_axis, coarse, camera)) for part, camera in main]
-    columns, thick, share = _thick_columns(seen, optics.percentile)
+    columns, thick, share = thick_columns(seen, optics.percentile)
+    thickening = keep_thick_columns(seen, optics)
+    if thickening is not None:
+        seen = [(thickened(smoke, thickening), view) for smoke, view in seen]
+        columns, _, share = thick_columns(seen, optics.percentile)
     gamma_w, gamma_w_shape = (
         per_voxel / voxel if per_voxel is not None else depth / thick
         for per_voxel, depth in (
@@ -293,8 +261,9 @@ def measure_scene(
         gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, image_size,
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
         thick=thick, thick_share=share, widened=longest / near if fine < pixel_size else 1.0,
-        hidden=_median([_hidden_mass(*pair, thick) for pair in seen], _sizes(seen)),
-        stops=optics.exposure or 0.0,
+        hidden=weighted_median([hidden_mass(*pair, thick) for pair in seen], frame_sizes(seen)),
+        stops=optics.exposure or 0.0, thicken=optics.thicken,
+        knee=0.0 if thickening is None else thickening.knee,
     )  # fmt: skip
 
 
@@ -310,7 +279,7 @@ def thick_column(
     coarse = max(scene.pixel_size, scene.reference_voxel_size)
     voxels = smoke.voxels.main_part()
     view = _middle_view(voxels, views, scene.up_axis, coarse, scene.camera)
-    return float(np.percentile(_columns(voxels, view)[0], percentile))
+    return float(np.percentile(dense_columns(voxels, view)[0], percentile))
 
 
 def frame_scene(scene: Scene, gamma: float | None) -> Scene:

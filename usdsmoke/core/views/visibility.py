@@ -1,11 +1,13 @@
 """Where the style takes effect: the part of the smoke that a camera sees, and the user's mask."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from usdsmoke.base.frame_report import SightReport
-from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.base.volume import CameraSource, DenseField, VolumeFrame
 from usdsmoke.core.fields.sample import sample_linear, share_of_flat
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.levels import bounded
@@ -177,6 +179,27 @@ def effect_mask(frame: VolumeFrame, visibility: Visibility | None = None) -> Eff
     if frame.mask is None and visibility is None:
         return None
     return EffectMask(frame, visibility)
+
+
+def changed_in_part(
+    field: DenseField,
+    changed: DenseField,
+    smoke: ActiveSmoke,
+    mask: EffectMask | None,
+    strength: float,
+) -> DenseField:
+    """A field as far changed as the effect reaches.
+
+    Args:
+        changed: the same voxels where it reaches in full.
+        smoke: its active voxels.
+        mask: None: the same ``strength`` everywhere.
+    """
+    share = strength if mask is None else strength * mask.at(smoke.positions).cpu().numpy()
+    at = tuple((smoke.ijk.cpu().numpy() - field.ijk_min).T)
+    values = field.values.copy()
+    values[at] += share * (changed.values[at] - values[at])
+    return replace(field, values=values)
 
 
 def mask_warnings(

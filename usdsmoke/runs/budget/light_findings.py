@@ -6,7 +6,7 @@ from typing import Any
 
 from usdsmoke.base.frame_report import DIM, FrameReport
 from usdsmoke.base.sections import MOST_STOPS, OpticsConfig
-from usdsmoke.core.views.scene import MUCH
+from usdsmoke.core.views.column_depths import MUCH
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.runs.budget.finding import Finding
 from usdsmoke.runs.budget.planned import PlannedVolume

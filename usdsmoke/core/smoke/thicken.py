@@ -1,0 +1,83 @@
+"""Thin smoke made more opaque beside thick smoke, which stays as it is."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from usdsmoke.base.volume import DenseField, VolumeFrame
+
+_WIDEST = 1e8  # times the density that the search begins at, and its inverse
+_NEAR = 1e-3  # of the thickness: the knee is found
+_TRIALS = 40  # at most; it takes about eight
+
+
+@dataclass(frozen=True)
+class Thickening:
+    """The curve density -> ``times`` knee ln(1 + density / knee), strictly increasing.
+
+    Far below the knee density grows ``times`` as large, and far above it by the logarithm alone.
+    The paper has no such curve; decision 064.
+    """
+
+    times: float  # >= 1
+    knee: float  # density, > 0
+
+    def __call__(self, density: np.ndarray) -> np.ndarray:
+        """The thickened density, any shape, of the same type; 0 and below stay as they are."""
+        found = np.log1p(np.maximum(density, 0) / self.knee) * (self.times * self.knee)
+        return np.where(density > 0, found, density).astype(density.dtype)
+
+    def of_frame(self, frame: VolumeFrame) -> VolumeFrame:
+        """The frame with all of its density thickened."""
+        return replace(frame, density=self.of_field(frame.density))
+
+    def of_field(self, field: DenseField) -> DenseField:
+        """The field with all of its values thickened."""
+        return replace(field, values=self(field.values))
+
+
+def find_thickening(
+    times: float, density: float, thickness: Callable[[Thickening], float], wanted: float
+) -> Thickening | None:
+    """The curve that keeps the thickness of thick smoke; None where there is nothing to thicken.
+
+    Args:
+        times: of the thinnest smoke.
+        density: a usual one, where the search begins.
+        thickness: that thick smoke has behind a curve; it grows with the knee.
+        wanted: that it should have, in the same unit.
+    """
+    if times <= 1 or density <= 0 or wanted <= 0:
+        return None
+
+    def excess(log_knee: float) -> float:
+        return math.log(max(thickness(Thickening(times, math.exp(log_knee))), 1e-300) / wanted)
+
+    # bracket: from no smoke at all to ``times`` as much; then the secant rule of Illinois, which
+    # halves the value of an end that stays
+    low, high = (math.log(density * factor) for factor in (1e-3, 1.0))
+    below, above = excess(low), excess(high)
+    while below > 0 and low > math.log(density / _WIDEST):
+        high, above = low, below
+        low -= math.log(100.0)
+        below = excess(low)
+    while above < 0 and high < math.log(density * _WIDEST):
+        low, below = high, above
+        high += math.log(100.0)
+        above = excess(high)
+    middle = high
+    for _ in range(_TRIALS):
+        if below * above >= 0:
+            break
+        middle = high - above * (high - low) / (above - below)
+        found = excess(middle)
+        if abs(found) < _NEAR:
+            break
+        if found * above < 0:
+            low, below = high, above
+        else:
+            below /= 2
+        high, above = middle, found
+    return Thickening(times, math.exp(middle))
