@@ -137,8 +137,8 @@ def _splatted(case: Case, view: "View", field: DenseField) -> np.ndarray:
 
 
 def _marched(case: Case, view: "View", n: int) -> np.ndarray:
-    from usdsmoke.core.views.march import march
-    from usdsmoke.core.views.media import make_media
+    from usdsmoke.core.rays.march import march
+    from usdsmoke.core.rays.media import make_media
 
     gamma_w = case.small_scene.gamma_w_shape
     media = make_media(case.small.density, None, np.eye(4), None, gamma_w, 1.0)

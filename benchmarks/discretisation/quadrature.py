@@ -169,8 +169,8 @@ def _rays(case: Case, view: "View") -> tuple[_Rays, np.ndarray]:
 
 
 def _marched(case: Case, view: "View") -> np.ndarray:
-    from usdsmoke.core.views.march import march
-    from usdsmoke.core.views.media import make_media
+    from usdsmoke.core.rays.march import march
+    from usdsmoke.core.rays.media import make_media
 
     density, emission = _fields(case)
     place = np.eye(4)

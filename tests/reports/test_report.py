@@ -223,7 +223,8 @@ def test_with_its_weights_vgg19_stands_beside_the_embedded_features(
 @pytest.mark.usefixtures("quick_grids")
 @pytest.mark.parametrize("step", ["shape", "colour"])
 def test_unused_views_see_what_more_iterations_gain(step: str, tmp_path: Path) -> None:
-    case = case_of(make_scene(tmp_path, n_frames=1), "losses.keep=0", "shape.learning_rate=0.1")
+    settings = ("losses.keep=0", "shape.learning_rate=0.1", "optics.thicken=1")
+    case = case_of(make_scene(tmp_path, n_frames=1), *settings)
     trial, config = Trial(case, step, case.config), untiring(case.config)
     few, many = (trial.unseen.loss(trial.run(Setting((0, n), config), 0)) for n in (1, 40))
     assert many < 0.97 * few

@@ -30,7 +30,7 @@ class Drawn:
         self.held: list[tuple[str, ...]] = []
         self.sizes: set[tuple[int, ...]] = set()  # of the pictures on the sheet
         self._given: list[tuple[str, weakref.ref[Any]]] = []
-        monkeypatch.setattr(sys.modules["usdsmoke.core.views.march"], "march", self._march)
+        monkeypatch.setattr(sys.modules["usdsmoke.core.rays.march"], "march", self._march)
         read = FrameReader.read
 
         def read_source(reader: FrameReader, *arguments: Any) -> Any:

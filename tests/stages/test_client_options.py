@@ -142,7 +142,7 @@ def test_the_contact_sheet_shows_the_same_light_per_density(
             seen.append(light)
         return march(media, view)
 
-    monkeypatch.setattr(sys.modules["usdsmoke.core.views.march"], "march", look)
+    monkeypatch.setattr(sys.modules["usdsmoke.core.rays.march"], "march", look)
     run(copied(plume, "plain"))
     run(plume, PER_DENSITY)
     half = len(seen) // 2

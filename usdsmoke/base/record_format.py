@@ -76,10 +76,11 @@ class MachineRecord:
 
 @dataclass(frozen=True)
 class Extinction:
-    """Extinction per density, 1/stage unit, as it was fitted or set."""
+    """Extinction per density, 1/stage unit, as it was fitted or set, and the curve of density."""
 
     colour: float
     shape: float
+    knee: float = 0.0  # density, see ``optics.thicken``; 0: the density is the source's, moved
 
 
 @dataclass(frozen=True)

@@ -141,6 +141,9 @@ class OpticsConfig(Section):
         10.0, "times as dense as in the source that the thinnest smoke becomes, so that it shows "
         "the style; smoke between it and the thick columns becomes denser too, and they keep their "
         "opacity; 1: as in the source", ge=1, le=1000)
+    knee: float | None = setting(
+        None, "density at which the curve of optics.thicken bends; unset: chosen so that thick "
+        "columns keep their optical depth", gt=0, le=1e30)
     frames: str = setting(
         "", "timeCodes that extinction and picture size are measured on, such as 1-2; empty: three "
         "of the stylized ones; a look that is made longer keeps its own")

@@ -1,6 +1,6 @@
 """Smoke as pixels: the front view, and pictures for a screen.
 
-Previews and contact sheets are both drawn here, by rays (see ``core.views.march``).
+Previews and contact sheets are both drawn here, by rays (see ``core.rays.march``).
 """
 
 from collections.abc import Sequence

@@ -16,9 +16,9 @@ import numpy as np
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.time_codes import spread
 from usdsmoke.base.volume import CameraSource
+from usdsmoke.core.rays.march import march
 from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.views.cameras import view_of_camera
-from usdsmoke.core.views.march import march
 from usdsmoke.pictures.drawing import box_around, fit_views, fitted_size, front_view
 from usdsmoke.pictures.preview_files import (
     LOOK,

@@ -11,8 +11,8 @@ import numpy as np
 from usdsmoke.base.naming import frame_file_names
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import StageSource
+from usdsmoke.core.rays.march import Picture
 from usdsmoke.core.views.cameras import View
-from usdsmoke.core.views.march import Picture
 from usdsmoke.pictures.animations import WRITERS
 from usdsmoke.pictures.contact_sheet import compose_sheet
 from usdsmoke.pictures.drawing import BACKGROUND, display_picture

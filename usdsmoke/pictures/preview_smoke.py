@@ -24,9 +24,9 @@ from usdsmoke.base.volume import (
     VolumeFrame,
     VolumeSource,
 )
+from usdsmoke.core.rays.media import Medium, make_media
 from usdsmoke.core.smoke.tasks import computing_threads, n_sharing
 from usdsmoke.core.views.cameras import View
-from usdsmoke.core.views.media import Medium, make_media
 from usdsmoke.core.views.scene import Scene, measure_scene
 from usdsmoke.pictures.drawing import GREY, box_corners
 from usdsmoke.pictures.preview_grids import (

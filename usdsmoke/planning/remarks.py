@@ -54,6 +54,7 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
             *_holes(volume),
             *_part(volume),
             *_measured_elsewhere(volume),
+            *_thickened_twice(volume),
             *_rate(volume),
             *_heavy_losses(volume),
             *_coarse(volume),
@@ -81,8 +82,20 @@ def measured_remarks(volumes: Sequence[VolumePlan]) -> list[str]:
 def measured_on_part(volume: VolumePlan) -> bool:
     """Whether extinction and picture size are measured on some of a Volume's timeCodes."""
     optics = volume.config.optics
-    is_open = optics.gamma is None or optics.gamma_shape is None
+    is_bent = optics.thicken > 1 and optics.knee is None
+    is_open = optics.gamma is None or optics.gamma_shape is None or is_bent
     return is_open and len(volume.frames) < len(volume.source.time_codes)
+
+
+def _thickened_twice(volume: VolumePlan) -> list[str]:
+    """Smoke of a look is thickened already."""
+    config = volume.config
+    if not config.stage.restylize or config.optics.thicken == 1:
+        return []
+    return [
+        f"<{volume.source.prim_path}> is stylized already (stage.restylize), and its thin smoke is "
+        "made more opaque once more. Set optics.thicken=1 to leave its density as it is"
+    ]
 
 
 def _overlap(volume: VolumePlan) -> list[str]:
@@ -137,7 +150,7 @@ def _part(volume: VolumePlan) -> list[str]:
         f"extinction and picture size of <{volume.source.prim_path}> are measured on "
         f"{len(volume.frames)} of {n_all}. Another selection looks slightly different. To keep one "
         "look, make this result longer with the same command and more --frames, or set "
-        "optics.gamma and optics.gamma_shape"
+        "optics.gamma, optics.gamma_shape and optics.knee"
     ]
 
 

@@ -116,7 +116,7 @@ def make_record(
         results=results,
         shaders=shaders,
         extinction={
-            volume.source.prim_path: Extinction(scene["gamma_w"], scene["gamma_w_shape"])
+            volume.source.prim_path: _extinction(scene)
             for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         },
         omitted=tuple(f"{omission.what}: {omission.reason}" for omission in plan.omitted),
@@ -124,6 +124,10 @@ def make_record(
         figures=summarize_figures(reports),
         error_budget=run.error_budget,
     )
+
+
+def _extinction(scene: Mapping[str, Any]) -> Extinction:
+    return Extinction(scene["gamma_w"], scene["gamma_w_shape"], scene.get("knee", 0.0))
 
 
 def _feature_networks(plan: Plan) -> str:

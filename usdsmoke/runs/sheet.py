@@ -33,8 +33,8 @@ from usdsmoke.vdb.header import GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, find_grid, read_grids
 
 if TYPE_CHECKING:
+    from usdsmoke.core.rays.media import Medium
     from usdsmoke.core.views.cameras import View
-    from usdsmoke.core.views.media import Medium
     from usdsmoke.core.views.scene import Scene
 
 # Where the smoke is seen from, degrees around the up axis; the first is the front.
@@ -142,7 +142,7 @@ class _Shown:
         )
 
     def _draw(self, media: Sequence["Medium"], view: "View") -> np.ndarray:
-        from usdsmoke.core.views.march import march
+        from usdsmoke.core.rays.march import march
 
         return enlarged(display_picture(march(media, view).rgba), *self.size)
 
@@ -152,7 +152,7 @@ class _Shown:
         painted: tuple[DenseField | None, DenseField | None],
         view: "View",
     ) -> list["Medium"]:
-        from usdsmoke.core.views.media import make_media
+        from usdsmoke.core.rays.media import make_media
 
         to_stage, emission = _to_stage(self.volume, self.frame), painted[0]
         is_painted, (grey, coloured) = painted != (None, None), self.extinctions

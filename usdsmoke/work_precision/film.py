@@ -82,8 +82,8 @@ def _view(frames: Sequence[VolumeFrame], up_axis: str) -> tuple["View", tuple[in
 
 
 def _draw(fields: Fields, to_stage: np.ndarray, gamma_w: float, view: "View") -> np.ndarray:
-    from usdsmoke.core.views.march import march
-    from usdsmoke.core.views.media import make_media
+    from usdsmoke.core.rays.march import march
+    from usdsmoke.core.rays.media import make_media
 
     density, emission = fields
     place = None if emission is None else to_stage

@@ -12,12 +12,12 @@ from benchmarks.splats import render_fields
 from tests.fixtures.smoke_fixtures import affine, puff
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
+from usdsmoke.core.rays.march import march
+from usdsmoke.core.rays.media import Medium, make_media
+from usdsmoke.core.rays.segments import segment_weights
 from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.views.cameras import View, orbit_view, view_rays
-from usdsmoke.core.views.march import march
-from usdsmoke.core.views.media import Medium, make_media
 from usdsmoke.core.views.project import Projector
-from usdsmoke.core.views.segments import segment_weights
 from usdsmoke.pictures import encode_srgb
 
 EIGHT_BITS = 1 / 255

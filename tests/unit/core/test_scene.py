@@ -28,7 +28,7 @@ def thick_column(density: np.ndarray, index_to_world: np.ndarray, config: Config
 
 
 def test_an_unset_gamma_gives_the_thick_columns_their_optical_depth():
-    config = resolve_config({"optics": {"depth": 3.0, "depth_shape": 0.7}})
+    config = resolve_config({"optics": {"depth": 3.0, "depth_shape": 0.7, "thicken": 1}})
     scene = scene_of([frame_of(DENSITY)], config, "Y")
     thick = thick_column(DENSITY, np.eye(4), config)
     assert scene.gamma_w * thick == pytest.approx(3.0, rel=1e-5)
@@ -40,7 +40,7 @@ def test_an_unset_gamma_gives_the_thick_columns_their_optical_depth():
     ids=["cubes", "bricks", "mirrored", "turned"],
 )  # fmt: skip
 def test_columns_are_those_of_the_optimisers_projection(matrix: np.ndarray) -> None:
-    config = resolve_config({"optics": {"depth": 3.0}})
+    config = resolve_config({"optics": {"depth": 3.0, "thicken": 1}})
     scene = scene_of([frame_of(DENSITY, index_to_world=matrix)], config, "Y")
     smoke = smoke_of(DENSITY, matrix)
     pixel = max(scene.pixel_size, smoke.voxel_size)
@@ -63,7 +63,7 @@ def test_a_set_gamma_is_per_voxel_and_becomes_per_length():
 
 @pytest.mark.parametrize("gamma", [1e-9, 1e-3, 0.1])
 def test_a_gamma_that_leaves_thick_columns_faint_is_exposed_to_seven_tenths(gamma):
-    config = resolve_config({"optics": {"gamma": gamma, "gamma_shape": 0.5 * gamma}})
+    config = resolve_config({"optics": {"gamma": gamma, "gamma_shape": 0.5 * gamma, "thicken": 1}})
     scene = scene_of([frame_of(DENSITY)], config, "Y")
     thick = thick_column(DENSITY, np.eye(4), config)
     for gamma_w, exposure in (

@@ -324,8 +324,6 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
         density = changed_in_part(raw, density, source, mask, config.optimize.strength)
         source = smoke = activate(density, frame.density_to_stage, context.device)
     left_out, n_outside = _why_left_out(source, mask, visibility, config), None
-    if left_out:
-        density = raw
     if visibility is not None:
         n_outside = int((visibility.at(source.positions) == 0).sum())
     warnings = (*_density_warnings(raw, source), *mask_warnings(frame, mask, source))
@@ -336,8 +334,8 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     if visibility is not None and not left_out:
         source, smoke = visibility.padded(source), visibility.visible(source)
     return OpenedFrame(
-        frame=frame, density=density, source=source, smoke=smoke, mask=mask, visibility=visibility,
-        coarse=context.starts(frame.time_code), config=config,
+        frame=frame, density=raw if left_out else density, source=source, smoke=smoke, mask=mask,
+        visibility=visibility, coarse=context.starts(frame.time_code), config=config,
         scene=replace(scene, camera=frame.camera), targets=targets, report=report,
     )  # fmt: skip
 

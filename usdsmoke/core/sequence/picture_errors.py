@@ -11,11 +11,11 @@ from torch import Tensor
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.resample import upsample
 from usdsmoke.core.fields.richardson import StepError, step_error
+from usdsmoke.core.rays.march import march
+from usdsmoke.core.rays.media import Medium, make_media
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, densify
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.views.cameras import View
-from usdsmoke.core.views.march import march
-from usdsmoke.core.views.media import Medium, make_media
 from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.project import colour_map, column_map
 
@@ -68,7 +68,7 @@ def quadrature_error(
     """How far the picture is from rays through the smoke, relative to their picture.
 
     Rays see voxels interpolated trilinearly, as renderers do, and sum along themselves accurately
-    (``views.march``). The optimiser spreads voxels over pixels, and over slabs a voxel thick.
+    (``rays.march``). The optimiser spreads voxels over pixels, and over slabs a voxel thick.
 
     Args:
         painted: the frame, with colours.

@@ -9,7 +9,7 @@ import numpy as np
 from usdsmoke.base.volume import DenseField, VolumeFrame
 
 _WIDEST = 1e8  # times the density that the search begins at, and its inverse
-_NEAR = 1e-3  # of the thickness: the knee is found
+_NEAR = 1e-5  # of the thickness: the knee is found
 _TRIALS = 40  # at most; it takes about eight
 
 
@@ -41,15 +41,15 @@ class Thickening:
 def find_thickening(
     times: float, density: float, thickness: Callable[[Thickening], float], wanted: float
 ) -> Thickening | None:
-    """The curve that keeps the thickness of thick smoke; None where there is nothing to thicken.
+    """The curve that keeps the thickness of thick smoke; None without smoke.
 
     Args:
-        times: of the thinnest smoke.
+        times: of the thinnest smoke, above 1.
         density: a usual one, where the search begins.
         thickness: that thick smoke has behind a curve; it grows with the knee.
         wanted: that it should have, in the same unit.
     """
-    if times <= 1 or density <= 0 or wanted <= 0:
+    if density <= 0 or wanted <= 0:
         return None
 
     def excess(log_knee: float) -> float:

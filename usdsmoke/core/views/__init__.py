@@ -6,9 +6,6 @@
 - ``visibility``: the part of the smoke that a camera sees, and the user's mask
 - ``footprint``: the points in a voxel that it is splatted at
 - ``project``: voxels splatted on pixels, a sparse linear map
-- ``media``: fields as rays read them
-- ``march``: pictures by ray marching
-- ``segments``, ``cells``, ``columns``: rays cut at voxels, in any direction and along an axis
 - ``lighting``: the stage's light, scattered by the smoke; ``bounces``: more than once
 - ``shadows``: how much of a distant light arrives at a point
 - ``column_depths``: columns of smoke along pixels: what the thick ones have, and what keeps it

@@ -47,12 +47,15 @@ def thick_columns(
     return columns, thick, weighted_median([float((c >= thick).sum() / n) for c, n in found], sizes)
 
 
-def keep_thick_columns(
-    seen: Sequence[tuple[Voxels, View]], optics: OpticsConfig
-) -> Thickening | None:
-    """The curve of ``optics.thicken`` with which thick columns have what they had; None where there
-    is none.
+def find_curve(seen: Sequence[tuple[Voxels, View]], optics: OpticsConfig) -> Thickening | None:
+    """The curve of ``optics.thicken``: an unset knee is the one with which thick columns have what
+    they had. None where density stays as it is.
     """
+    if optics.thicken == 1:
+        return None
+    if optics.knee is not None:
+        return Thickening(optics.thicken, optics.knee)
+    wanted = thick_columns(seen, optics.percentile)[1]
     dense = [ranked(smoke.density, DENSE_COLUMNS) for smoke, _ in seen]
     usual = weighted_median(dense, frame_sizes(seen))
 
@@ -60,7 +63,6 @@ def keep_thick_columns(
         curved = [(thickened(smoke, curve), view) for smoke, view in seen]
         return thick_columns(curved, optics.percentile)[1]
 
-    wanted = thick_columns(seen, optics.percentile)[1]
     return find_thickening(optics.thicken, usual, thickness, wanted)
 
 

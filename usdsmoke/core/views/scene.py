@@ -20,9 +20,9 @@ from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
 from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
 from usdsmoke.core.views.column_depths import (
     dense_columns,
+    find_curve,
     frame_sizes,
     hidden_mass,
-    keep_thick_columns,
     thick_columns,
     thickened,
     weighted_median,
@@ -216,7 +216,8 @@ def measure_scene(
     than an opacity of 0.7, the pictures are exposed to that: the paper divides each by its own
     maximum, after which exposure jumps with the frame.
     With cameras, columns are those that they see, and no pixel is finer than their nearest ones.
-    Remains far from the smoke widen the pictures, but are no columns.
+    Remains far from the smoke widen the pictures, but are no columns. ``optics.thicken`` is applied
+    before.
 
     Args:
         frames: sampled over the *whole* shot, so that windows and machines agree.
@@ -227,9 +228,8 @@ def measure_scene(
     Returns:
         The scene; with defaults if all frames are empty.
     """
-    filled = _filled(frames)
+    filled, stops = _filled(frames), optics.exposure or 0.0
     if not filled:
-        stops = optics.exposure or 0.0
         return Scene(1.0, 1.0, 1.0, up_axis, 1.0, views.image_size, stops=stops)
     voxel = float(np.median([smoke.voxel_size for smoke, _ in filled]))
     longest, near = _picture_sides(filled, views, up_axis)
@@ -241,17 +241,12 @@ def measure_scene(
     coarse = max(fine, voxel)
     main = [(smoke.main_part(), camera) for smoke, camera in visible or filled]
     seen = [(part, _middle_view(part, views, up_axis, coarse, camera)) for part, camera in main]
+    if (curve := find_curve(seen, optics)) is not None:
+        seen = [(thickened(smoke, curve), view) for smoke, view in seen]
     columns, thick, share = thick_columns(seen, optics.percentile)
-    thickening = keep_thick_columns(seen, optics)
-    if thickening is not None:
-        seen = [(thickened(smoke, thickening), view) for smoke, view in seen]
-        columns, _, share = thick_columns(seen, optics.percentile)
+    asked = ((optics.gamma, optics.depth), (optics.gamma_shape, optics.depth_shape))
     gamma_w, gamma_w_shape = (
-        per_voxel / voxel if per_voxel is not None else depth / thick
-        for per_voxel, depth in (
-            (optics.gamma, optics.depth),
-            (optics.gamma_shape, optics.depth_shape),
-        )
+        depth / thick if gamma is None else gamma / voxel for gamma, depth in asked
     )
     exposure, exposure_shape = (_exposure(gamma, thick) for gamma in (gamma_w, gamma_w_shape))
     grey = -np.expm1(-gamma_w_shape * np.concatenate(columns)) * exposure_shape
@@ -262,8 +257,7 @@ def measure_scene(
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
         thick=thick, thick_share=share, widened=longest / near if fine < pixel_size else 1.0,
         hidden=weighted_median([hidden_mass(*pair, thick) for pair in seen], frame_sizes(seen)),
-        stops=optics.exposure or 0.0, thicken=optics.thicken,
-        knee=0.0 if thickening is None else thickening.knee,
+        stops=stops, thicken=optics.thicken, knee=curve.knee if curve else 0.0,
     )  # fmt: skip
 
 

@@ -2,7 +2,7 @@ r"""Pictures of smoke that emits and absorbs, by rays through any number of latt
 
 Between voxel centres every lattice is interpolated trilinearly, and outside it is empty, as in
 renderers. A ray is cut at every plane of voxel centres of every lattice, so a segment lies in one
-cell of each; its optical depth is exact, and ``views.segments`` has the rule of its light. Segments
+cell of each; its optical depth is exact, and ``rays.segments`` has the rule of its light. Segments
 of much optical depth are cut once more. Lattices that overlap add up, and those behind are hidden
 by those in front, because all share the segments.
 
@@ -19,11 +19,11 @@ from itertools import product
 
 import numpy as np
 
+from usdsmoke.core.rays.cells import Cells
+from usdsmoke.core.rays.columns import Columns, follows_axis
+from usdsmoke.core.rays.media import Medium
 from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.views.cameras import View, view_rays
-from usdsmoke.core.views.cells import Cells
-from usdsmoke.core.views.columns import Columns, follows_axis
-from usdsmoke.core.views.media import Medium
 
 _CHUNK = 1 << 18  # numbers of each kind in memory at once, over all rays of a chunk
 _SAME = 1e-6  # relative difference of colours that are the same

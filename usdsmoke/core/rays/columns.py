@@ -3,14 +3,14 @@
 Such a ray stays between four columns of voxels with the same four weights, and it is cut only at
 the planes of voxel centres across it. On a segment every field is a line between two planes, so the
 light of a ray is a weighted sum of the planes' values, with weights that depend on extinction
-alone (``views.segments``). Front views of smoke that is not turned on the stage are such pictures,
+alone (``rays.segments``). Front views of smoke that is not turned on the stage are such pictures,
 and so are contact sheets.
 """
 
 import numpy as np
 
-from usdsmoke.core.views.media import Medium
-from usdsmoke.core.views.segments import (
+from usdsmoke.core.rays.media import Medium
+from usdsmoke.core.rays.segments import (
     OPAQUE,
     PARALLEL,
     cut_more,

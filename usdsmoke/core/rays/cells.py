@@ -1,7 +1,7 @@
 """Rays of any direction through lattices: cut at every plane of voxel centres.
 
 A segment lies in one cell of each lattice. Extinction is a cubic polynomial along it there, and two
-Gauss points give its optical depth exactly. ``views.segments`` takes the line through the values at
+Gauss points give its optical depth exactly. ``rays.segments`` takes the line through the values at
 these points for the light; segments of much optical depth are cut once more.
 """
 
@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usdsmoke.core.views.media import Medium
-from usdsmoke.core.views.segments import (
+from usdsmoke.core.rays.media import Medium
+from usdsmoke.core.rays.segments import (
     GAUSS,
     OPAQUE,
     PARALLEL,
