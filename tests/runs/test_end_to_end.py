@@ -19,7 +19,13 @@ from usdsmoke.core.smoke.thicken import Thickening
 from usdsmoke.vdb.read import GridRequest, read_grids
 
 PROJECT = Path(__file__).resolve().parents[2]
-QUICK = ["optimize.iterations=6", "views.image_size=32", "views.pool=2", "optimize.threads=1"]
+QUICK = [
+    "optimize.iterations=6",
+    "optics.thicken=5",
+    "views.image_size=32",
+    "views.pool=2",
+    "optimize.threads=1",
+]
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +66,8 @@ def test_the_files_hold_smoke_and_its_colours(finished: tuple[Shot, dict[str, ob
     shot, result = finished
     (found,) = usdsmoke.provenance(str(result["look_layer"]))
     (extinction,) = found.record.extinction.values()
-    curve = Thickening(found.record.settings["optics"]["thicken"], extinction.knee)
+    assert extinction.knee > 0
+    curve = Thickening(extinction.thicken, extinction.knee)
     for number, file_path in enumerate(result["frames"], 1):  # type: ignore[arg-type, var-annotated]
         density, emission = grids_of(file_path)
         (source,) = read_grids(

@@ -80,7 +80,8 @@ class Extinction:
 
     colour: float
     shape: float
-    knee: float = 0.0  # density, see ``optics.thicken``; 0: the density is the source's, moved
+    thicken: float = 1.0  # times that the thinnest smoke is as dense as in the source
+    knee: float = 0.0  # density, of that curve; 0: the density is the source's, moved
 
 
 @dataclass(frozen=True)

@@ -137,10 +137,11 @@ class OpticsConfig(Section):
         30.0, "optical depth that the thick columns should have; used to choose gamma if it is "
         "unset", gt=0, le=1e6)
     depth_shape: float = setting(1.3, "the same for gamma_shape", gt=0, le=1e6)
-    thicken: float = setting(
-        10.0, "times as dense as in the source that the thinnest smoke becomes, so that it shows "
+    thicken: float | None = setting(
+        None, "times as dense as in the source that the thinnest smoke becomes, so that it shows "
         "the style; smoke between it and the thick columns becomes denser too, and they keep their "
-        "opacity; 1: as in the source", ge=1, le=1000)
+        "opacity; 1: as in the source; unset: what the thin quarter of the columns needs, at most "
+        "10", ge=1, le=1000)
     knee: float | None = setting(
         None, "density at which the curve of optics.thicken bends; unset: chosen so that thick "
         "columns keep their optical depth", gt=0, le=1e30)

@@ -82,7 +82,7 @@ def measured_remarks(volumes: Sequence[VolumePlan]) -> list[str]:
 def measured_on_part(volume: VolumePlan) -> bool:
     """Whether extinction and picture size are measured on some of a Volume's timeCodes."""
     optics = volume.config.optics
-    is_bent = optics.thicken > 1 and optics.knee is None
+    is_bent = optics.thicken is None or (optics.thicken > 1 and optics.knee is None)
     is_open = optics.gamma is None or optics.gamma_shape is None or is_bent
     return is_open and len(volume.frames) < len(volume.source.time_codes)
 
@@ -93,8 +93,8 @@ def _thickened_twice(volume: VolumePlan) -> list[str]:
     if not config.stage.restylize or config.optics.thicken == 1:
         return []
     return [
-        f"<{volume.source.prim_path}> is stylized already (stage.restylize), and its thin smoke is "
-        "made more opaque once more. Set optics.thicken=1 to leave its density as it is"
+        f"<{volume.source.prim_path}> is stylized already (stage.restylize), and what of its smoke "
+        "is still thin is made more opaque once more. Set optics.thicken=1 to leave its density"
     ]
 
 
@@ -150,7 +150,7 @@ def _part(volume: VolumePlan) -> list[str]:
         f"extinction and picture size of <{volume.source.prim_path}> are measured on "
         f"{len(volume.frames)} of {n_all}. Another selection looks slightly different. To keep one "
         "look, make this result longer with the same command and more --frames, or set "
-        "optics.gamma, optics.gamma_shape and optics.knee"
+        "optics.gamma, optics.gamma_shape, optics.thicken and optics.knee"
     ]
 
 

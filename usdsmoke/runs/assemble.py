@@ -302,11 +302,17 @@ def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
     return (
         f"<{volume.source.prim_path}>: the opacity was measured on these frames. To make other "
         "frames of the shot alike in another folder, set "
-        f"optics.gamma={scene['gamma_w'] * voxel:.6g}, "
-        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g} and "
-        f"optics.knee={scene.get('knee') or 1:.6g}; the gammas are per voxel, and gamma_w is per "
-        "stage unit"
+        f"optics.gamma={scene['gamma_w'] * voxel:.6g} and "
+        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g}{_curve(scene)}, the gammas per "
+        "voxel (gamma_w is per stage unit)"
     )
+
+
+def _curve(scene: Mapping[str, Any]) -> str:
+    """The settings of the curve that thickens thin smoke, behind others."""
+    if not scene.get("knee"):
+        return " and optics.thicken=1"
+    return f" and optics.thicken={scene['thicken']:.6g} and optics.knee={scene['knee']:.6g}"
 
 
 def _draw_sheets(opened: OpenRun, tell: RunProgressCallback) -> tuple[str, ...]:

@@ -127,7 +127,8 @@ def make_record(
 
 
 def _extinction(scene: Mapping[str, Any]) -> Extinction:
-    return Extinction(scene["gamma_w"], scene["gamma_w_shape"], scene.get("knee", 0.0))
+    curve = (scene.get("thicken", 1.0), scene.get("knee", 0.0))
+    return Extinction(scene["gamma_w"], scene["gamma_w_shape"], *curve)
 
 
 def _feature_networks(plan: Plan) -> str:

@@ -25,6 +25,10 @@ def config_of(thicken: float, **sections: object) -> Config:
     return quick_config(**{**COLOUR, **sections, "optics": {"thicken": thicken}})
 
 
+def unset() -> Config:
+    return quick_config(**COLOUR, optics={"thicken": None})
+
+
 def columns(density: np.ndarray) -> np.ndarray:
     """Along k, where there is smoke beyond the fringe."""
     found = density.astype(float).sum(2)
@@ -77,6 +81,29 @@ def test_thick_columns_keep_what_they_have_and_thin_ones_gain():
     veil = (DENSITY > 0) & (DENSITY < 1e-3)
     assert veil.sum() > 100
     assert (found[veil] > 8 * DENSITY[veil]).all() and (found[veil] <= 10 * DENSITY[veil]).all()
+
+
+def test_unset_smoke_that_is_thick_in_most_columns_is_left_as_it_is():
+    ball = (puff(16) > 0.2).astype(np.float32)
+    assert scene_of([frame_of(ball)], unset()).thickening is None
+
+
+@pytest.mark.parametrize("thinner", [0.03, 0.01, 2e-3])
+def test_unset_thin_smoke_is_thickened_as_far_as_it_needs_or_ten_times(thinner: float) -> None:
+    """Two slabs beside each other: a thick one, and one that is so much thinner."""
+    density = np.ones((16, 16, 8), np.float32)
+    density[:8] = thinner
+    share = np.percentile(columns(density), 25) / np.percentile(columns(density), 90)
+    curve = scene_of([frame_of(density)], unset()).thickening
+    assert share < 0.13 and curve is not None
+    found = curve(density)
+    reached = np.percentile(columns(found), 25) / np.percentile(columns(found), 90)
+    assert curve.times == pytest.approx(10) if reached < 0.13 else 1 < curve.times < 10
+    if curve.times < 10:
+        less = scene_of([frame_of(density)], config_of(0.8 * curve.times)).thickening
+        assert less is not None and reached >= 0.13
+        fewer = less(density)
+        assert np.percentile(columns(fewer), 25) < 0.13 * np.percentile(columns(fewer), 90)
 
 
 def test_a_knee_of_ones_own_is_taken_and_the_extinction_follows_it():

@@ -1,5 +1,6 @@
 """Columns of smoke along the pixels of a view: what the thick ones have, and what keeps it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,6 +17,12 @@ DENSE_COLUMNS = 0.95  # rank of the columns that are dense
 FRINGE = 1e-3  # of those: columns below are not counted as smoke
 MUCH = 8.0  # times the thick columns
 _SEVERAL = 10  # columns; fewer are an outlier
+THIN = 25.0  # percentile of the columns that are thin
+# Of what the thick columns have. The simulated plume of the examples has 0.25, and shows strokes
+# everywhere; the real one has 0.03, and its upper half is fog. With ten times it has 0.13.
+THIN_SHARE = 0.13
+MOST_TIMES = 10.0  # of smoke that is not asked to be thickened by more
+_HALVINGS = 4  # of the range of times: to a seventh
 
 
 def dense_columns(smoke: Voxels, view: View) -> tuple[np.ndarray, int]:
@@ -48,27 +55,59 @@ def thick_columns(
 
 
 def find_curve(seen: Sequence[tuple[Voxels, View]], optics: OpticsConfig) -> Thickening | None:
-    """The curve of ``optics.thicken``: an unset knee is the one with which thick columns have what
-    they had. None where density stays as it is.
+    """The curve of ``optics.thicken``; None where density stays as it is.
+
+    An unset knee is the one with which thick columns keep what they have. Unset times are what
+    gives the thin columns ``THIN_SHARE`` of that, between 1 and ``MOST_TIMES``.
     """
-    if optics.thicken == 1:
+    if optics.thicken is not None:
+        return _curve(seen, optics, optics.thicken) if optics.thicken > 1 else None
+    if _thin_share(seen, optics) >= THIN_SHARE:
         return None
+    low, high, found = 0.0, math.log(MOST_TIMES), _curve(seen, optics, MOST_TIMES)
+    if _thin_share(_all_thickened(seen, found), optics) < THIN_SHARE:
+        return found
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        curve = _curve(seen, optics, math.exp(middle))
+        if _thin_share(_all_thickened(seen, curve), optics) < THIN_SHARE:
+            low = middle
+        else:
+            high, found = middle, curve
+    return found
+
+
+def _curve(
+    seen: Sequence[tuple[Voxels, View]], optics: OpticsConfig, times: float
+) -> Thickening | None:
     if optics.knee is not None:
-        return Thickening(optics.thicken, optics.knee)
-    wanted = thick_columns(seen, optics.percentile)[1]
+        return Thickening(times, optics.knee)
     dense = [ranked(smoke.density, DENSE_COLUMNS) for smoke, _ in seen]
     usual = weighted_median(dense, frame_sizes(seen))
 
     def thickness(curve: Thickening) -> float:
-        curved = [(thickened(smoke, curve), view) for smoke, view in seen]
-        return thick_columns(curved, optics.percentile)[1]
+        return thick_columns(_all_thickened(seen, curve), optics.percentile)[1]
 
-    return find_thickening(optics.thicken, usual, thickness, wanted)
+    wanted = thick_columns(seen, optics.percentile)[1]
+    return find_thickening(times, usual, thickness, wanted)
 
 
-def thickened(smoke: Voxels, curve: Thickening) -> Voxels:
+def _thin_share(seen: Sequence[tuple[Voxels, View]], optics: OpticsConfig) -> float:
+    """What the thin columns have of what the thick ones have; 1 without smoke."""
+    columns, thick, _ = thick_columns(seen, optics.percentile)
+    thin = weighted_median([float(np.percentile(c, THIN)) for c in columns], frame_sizes(seen))
+    return thin / thick if thick > 0 else 1.0
+
+
+def _all_thickened(
+    seen: Sequence[tuple[Voxels, View]], curve: Thickening | None
+) -> list[tuple[Voxels, View]]:
+    return [(thickened(smoke, curve), view) for smoke, view in seen]
+
+
+def thickened(smoke: Voxels, curve: Thickening | None) -> Voxels:
     """The smoke behind a curve."""
-    return replace(smoke, density=curve(smoke.density))
+    return smoke if curve is None else replace(smoke, density=curve(smoke.density))
 
 
 def frame_sizes(seen: Sequence[tuple[Voxels, View]]) -> list[int]:

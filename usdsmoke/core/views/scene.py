@@ -64,8 +64,8 @@ class Scene:
     stops: float = 0.0  # exposure of the pictures: 2^stops times the light of the stage
     misfit: str = ""  # why frames do not start from the network that they should; "": they do
     network: str = ""  # SHA-256 of the network's file that the run has trained; "": none
-    thicken: float = 1.0  # ``optics.thicken``
-    knee: float = 0.0  # density, of its curve; 0: density stays as it is
+    thicken: float = 1.0  # times that the thinnest smoke becomes as dense
+    knee: float = 0.0  # density, of the curve of thickening; 0: density stays as it is
 
     @property
     def thickening(self) -> Thickening | None:
@@ -241,8 +241,8 @@ def measure_scene(
     coarse = max(fine, voxel)
     main = [(smoke.main_part(), camera) for smoke, camera in visible or filled]
     seen = [(part, _middle_view(part, views, up_axis, coarse, camera)) for part, camera in main]
-    if (curve := find_curve(seen, optics)) is not None:
-        seen = [(thickened(smoke, curve), view) for smoke, view in seen]
+    curve = find_curve(seen, optics)
+    seen = [(thickened(smoke, curve), view) for smoke, view in seen]
     columns, thick, share = thick_columns(seen, optics.percentile)
     asked = ((optics.gamma, optics.depth), (optics.gamma_shape, optics.depth_shape))
     gamma_w, gamma_w_shape = (
@@ -257,7 +257,7 @@ def measure_scene(
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
         thick=thick, thick_share=share, widened=longest / near if fine < pixel_size else 1.0,
         hidden=weighted_median([hidden_mass(*pair, thick) for pair in seen], frame_sizes(seen)),
-        stops=stops, thicken=optics.thicken, knee=curve.knee if curve else 0.0,
+        stops=stops, thicken=curve.times if curve else 1.0, knee=curve.knee if curve else 0.0,
     )  # fmt: skip
 
 
