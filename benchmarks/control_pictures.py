@@ -50,7 +50,6 @@ WORDS = {
     "style.colour": ("1", "0", "2"),
     "style.lift": ("0", "0.25", "0.5"),
     "optics.depth": ("30", "3", "10"),
-    "optics.thicken": ("10", "1", "30"),
 }
 
 

@@ -117,7 +117,8 @@ def rows(width: int) -> Iterator[Row]:
     frame = frame_of(simulate_smoke(width, 8, {"3-D": 48, "2-D": 1})["3-D"])
     style = paint_styles([STYLE], 256)[STYLE]
     config = resolve_config({**PAPER, "optimize.threads": 1})
-    scene = measure_scene([frame], config.views, config.optics, "Y", 1)
+    optics = config.optics.replace(thicken=1.0)  # the smoke as it is
+    scene = measure_scene([frame], config.views, optics, "Y", 1)
     smoke = activate(frame.density, frame.density_to_stage, torch.device("cpu"))
     judge = Judge(smoke, scene, style, config)
     yield judge.row("white noise", 0.0, initial_colours(smoke, "noise", 0))

@@ -63,7 +63,8 @@ def _settings(step: str, frame: VolumeFrame, iterations: int | None = None) -> C
         shape["iterations"] = [0, 0, iterations]
     else:
         optimize |= {"iterations": iterations}
-    return resolve_config({"views": views, "shape": shape, "optimize": optimize})
+    optics = {"thicken": 1.0}  # both sides see the smoke as it is
+    return resolve_config({"views": views, "shape": shape, "optimize": optimize, "optics": optics})
 
 
 def _run_ours(

@@ -73,7 +73,8 @@ def measure(name: str, scene: Scene, style: np.ndarray, way: str, seed: int) -> 
     config = config.replace(
         optimize=config.optimize.replace(threads=1, steps=["shape"], seed=seed, error_budget=False)
     )
-    measured = measure_scene([scene.frame], config.views, config.optics, "Y", 1)
+    optics = config.optics.replace(thicken=1.0)  # the smoke as it is
+    measured = measure_scene([scene.frame], config.views, optics, "Y", 1)
     context = make_context([style], measured, config, None, 24.0, None, 1)
     begin = time.process_time()
     with _regular(*WAYS[way]):

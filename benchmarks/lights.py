@@ -229,7 +229,8 @@ def cost(vdb_file: str, style: str, iterations: int, runs: int) -> list[str]:
     )
     (density,) = read_grids(vdb_file, [GridRequest("density")], config.grids)
     frame = VolumeFrame(1.0, density, np.eye(4))
-    scene = measure_scene([frame], config.views, config.optics, "Y", 1)
+    optics = config.optics.replace(thicken=1.0)  # the smoke as it is
+    scene = measure_scene([frame], config.views, optics, "Y", 1)
     pixels = read_style_image(style).pixels
     lit = {"no light": (), "a sun": LIGHTS[:1], "a sky": LIGHTS[1:], "a sun and a sky": LIGHTS}
     seconds: dict[str, list[float]] = {name: [] for name in lit}
@@ -256,7 +257,8 @@ class _Painted:
 
 def _paint(frame: VolumeFrame, config: Config, pixels: np.ndarray, painting: _Painting) -> _Painted:
     """One colour step, at full resolution and strength."""
-    scene = measure_scene([frame], config.views, config.optics, "Y", 1)
+    optics = config.optics.replace(thicken=1.0)  # the smoke as it is
+    scene = measure_scene([frame], config.views, optics, "Y", 1)
     if config.colour.target == "albedo":
         scene = replace(scene, stops=white_exposure([frame], config, scene))
     lights = frame.lights if painting.knows_light else ()

@@ -107,7 +107,8 @@ def _run(
 ) -> tuple[Any, list[Minimum]]:
     """What the step finds, and how its octaves ended."""
     device = torch.device("cpu")
-    scene = measure_scene([frame], config.views, config.optics, "Y", 1)
+    optics = config.optics.replace(thicken=1.0)  # the smoke as it is
+    scene = measure_scene([frame], config.views, optics, "Y", 1)
     smoke = activate(frame.density, frame.density_to_stage, device)
     problem = StepProblem(smoke, make_targets([style], scene, config, device), scene, config)
     if step == "colour":

@@ -69,7 +69,8 @@ def unseen_loss(
     """
     config = Config()
     frame = VolumeFrame(0.0, result.density, result.to_stage)
-    scene = measure_scene([frame], config.views, config.optics, result.up_axis, 1)
+    optics = config.optics.replace(thicken=1.0)  # the smoke as it is
+    scene = measure_scene([frame], config.views, optics, result.up_axis, 1)
     loss = make_targets([style], scene, config, torch.device("cpu")).at(1)
     found = []
     for angles in held_out_angles(n_views, *(ranges or view_ranges(config.views))):

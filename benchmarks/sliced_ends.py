@@ -77,7 +77,8 @@ def measure(frame: VolumeFrame, style: np.ndarray, config: Config, way: str, sce
 
 def _problem(frame: VolumeFrame, style: np.ndarray, config: Config) -> StepProblem:
     device = torch.device("cpu")
-    scene = measure_scene([frame], config.views, config.optics, "Y", 1)
+    optics = config.optics.replace(thicken=1.0)  # the smoke as it is
+    scene = measure_scene([frame], config.views, optics, "Y", 1)
     smoke = activate(frame.density, frame.density_to_stage, device)
     return StepProblem(smoke, make_targets([style], scene, config, device), scene, config)
 

@@ -90,7 +90,8 @@ def measure_scene_rows(
     config = config or Config()
     budget = config.optimize.replace(threads=1, error_budget=True)
     config, begun = config.replace(optimize=budget), time.process_time()
-    measured = measure_scene([scene.frame], config.views, config.optics, "Y", 1)
+    optics = config.optics.replace(thicken=1.0)  # the smoke as it is
+    measured = measure_scene([scene.frame], config.views, optics, "Y", 1)
     context = make_context([style], measured, config, None, 24.0, None, 1)
     (frame,) = run_frames([scene.frame], context)
     done = stylized_frame(frame, context)
@@ -190,7 +191,8 @@ def _views(name: str, frame: PaintedFrame, told: dict[str, float]) -> Iterator[R
 def _temporal(name: str, scene: Scene, context: WindowContext) -> Iterator[Row]:
     """The scene turns; the next frame's patterns against those of the first."""
     shot = turned_shot(scene)
-    measured = measure_scene(shot, context.config.views, context.config.optics, "Y", 1)
+    optics = context.config.optics.replace(thicken=1.0)  # the smoke as it is
+    measured = measure_scene(shot, context.config.views, optics, "Y", 1)
     moving = replace(context, scene=measured, time_codes_per_second=RATE)
     first, second = run_frames(shot, moving)
     told = second.report.temporal

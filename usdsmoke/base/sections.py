@@ -144,7 +144,7 @@ class OpticsConfig(Section):
         "10", ge=1, le=1000)
     knee: float | None = setting(
         None, "density at which the curve of optics.thicken bends; unset: chosen so that thick "
-        "columns keep their optical depth", gt=0, le=1e30)
+        "columns keep their optical depth", gt=0, le=1e27)
     frames: str = setting(
         "", "timeCodes that extinction and picture size are measured on, such as 1-2; empty: three "
         "of the stylized ones; a look that is made longer keeps its own")

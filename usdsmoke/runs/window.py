@@ -72,13 +72,15 @@ def check_storage(opened: OpenRun, tasks: Sequence[WindowTask]) -> None:
     for task in tasks:
         if not task.volume.config.grids.half:
             continue
-        scene = opened.run.scenes[task.volume_number]
+        scene = read_scene(opened.run, task.volume_number)
         for frame in task.frames:
             read = opened.reader.read(task.volume, frame)
             config = frame_config(task.volume.config, read.controls, read.time_code)
-            gamma_w = scene["gamma_w"]
+            gamma_w = scene.gamma_w
             if config is not task.volume.config and config.optics.gamma is not None:
-                gamma_w = config.optics.gamma / scene["reference_voxel_size"]
+                gamma_w = config.optics.gamma / scene.reference_voxel_size
+            if (curve := scene.thickening) is not None:
+                read = curve.of_frame(read)
             check_half(read.density, read.time_code, gamma_w, config)
 
 

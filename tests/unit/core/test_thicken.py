@@ -5,6 +5,7 @@ import pytest
 
 from tests.fixtures.smoke_fixtures import frame_of, masked, puff
 from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.thicken import Thickening, find_thickening
 
@@ -29,10 +30,10 @@ def unset() -> Config:
     return quick_config(**COLOUR, optics={"thicken": None})
 
 
-def columns(density: np.ndarray) -> np.ndarray:
-    """Along k, where there is smoke beyond the fringe."""
-    found = density.astype(float).sum(2)
-    return found[found > 1e-3 * np.percentile(found[found > 0], 95)]
+def columns(density: np.ndarray, source: np.ndarray = DENSITY) -> np.ndarray:
+    """Along k, where the source has smoke beyond its fringe."""
+    found = source.astype(float).sum(2)
+    return density.astype(float).sum(2)[found > 1e-3 * np.percentile(found[found > 0], 95)]
 
 
 def test_the_curve_has_its_slope_at_nothing_and_a_logarithm_far_above_the_knee():
@@ -93,17 +94,23 @@ def test_unset_thin_smoke_is_thickened_as_far_as_it_needs_or_ten_times(thinner: 
     """Two slabs beside each other: a thick one, and one that is so much thinner."""
     density = np.ones((16, 16, 8), np.float32)
     density[:8] = thinner
-    share = np.percentile(columns(density), 25) / np.percentile(columns(density), 90)
+    share = np.percentile(columns(density, density), 25) / np.percentile(
+        columns(density, density), 90
+    )
     curve = scene_of([frame_of(density)], unset()).thickening
     assert share < 0.13 and curve is not None
     found = curve(density)
-    reached = np.percentile(columns(found), 25) / np.percentile(columns(found), 90)
+    reached = np.percentile(columns(found, density), 25) / np.percentile(
+        columns(found, density), 90
+    )
     assert curve.times == pytest.approx(10) if reached < 0.13 else 1 < curve.times < 10
     if curve.times < 10:
         less = scene_of([frame_of(density)], config_of(0.8 * curve.times)).thickening
         assert less is not None and reached >= 0.13
         fewer = less(density)
-        assert np.percentile(columns(fewer), 25) < 0.13 * np.percentile(columns(fewer), 90)
+        assert np.percentile(columns(fewer, density), 25) < 0.13 * np.percentile(
+            columns(fewer, density), 90
+        )
 
 
 def test_a_knee_of_ones_own_is_taken_and_the_extinction_follows_it():
@@ -182,3 +189,46 @@ def test_moving_keeps_the_mass_of_thickened_smoke():
     before, after = curve(DENSITY).astype(float).sum(), result.density.values.astype(float).sum()
     assert after == pytest.approx(before, rel=1e-5)
     assert before > 1.01 * DENSITY.astype(float).sum()
+
+
+def test_a_veil_that_only_a_curve_makes_visible_does_not_count():
+    """The columns that count are those of the source, so the thick ones keep their depth."""
+    ball = np.exp(-((np.indices((32, 32, 32)) - 15.5) ** 2).sum(0) / 30).astype(np.float32)
+    density = np.maximum(ball, 1e-6)
+    plain, thick = (scene_of([frame_of(density)], config_of(times)) for times in (1.0, 10.0))
+    assert thick.gamma_w == pytest.approx(plain.gamma_w, rel=1e-3)
+
+
+def test_a_floor_is_not_thickened():
+    density = np.maximum(puff(24), 0.01).astype(np.float32)
+    curve = scene_of([frame_of(density)], config_of(10.0)).thickening
+    assert curve is not None
+    found = curve.of_field(frame_of(density).density).values
+    assert (found[density == np.float32(0.01)] == np.float32(0.01)).all()
+    smoke = (density > 0.011) & (density < 0.03)
+    assert (found[smoke] > 1.5 * density[smoke]).all()
+
+
+def test_sixty_orders_of_magnitude_stay_finite_and_none_is_lost():
+    values = np.float32(10.0) ** np.arange(-37, 31, dtype=np.float32)
+    for knee in (1e-30, 1.0, 1e20):
+        found = Thickening(10.0, knee)(values)
+        assert np.isfinite(found).all() and (found > 0).all() and (np.diff(found) >= 0).all()
+
+
+@pytest.mark.parametrize("dense", [1e8, 1e30])
+def test_a_mask_of_one_keeps_a_voxel_that_is_far_denser_than_its_thickened_density(dense: float):
+    density = DENSITY.copy()
+    density[8, 8, 8] = dense
+    frame, config = frame_of(density), config_of(10.0)
+    curve = scene_of([frame], config).thickening
+    assert curve is not None
+    result = run_core([masked(np.ones((1, 1, 1)), frame, background=1.0)], config)[0]
+    wanted = float(curve.of_frame(frame).density.values[8, 8, 8])
+    assert by_voxel(result.density)[8, 8, 8][0] == pytest.approx(wanted, rel=1e-6)
+
+
+def test_half_floats_are_checked_against_the_thickened_density():
+    config = quick_config(**COLOUR, optics={"thicken": 30.0, "knee": 1e6}, grids={"half": True})
+    with pytest.raises(ConfigError, match="16-bit"):
+        run_core([frame_of(2600 * DENSITY)], config)

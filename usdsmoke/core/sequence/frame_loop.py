@@ -2,8 +2,8 @@
 
 Every phase is an iterator that pulls from the one before it, so that only three frames are in
 memory, however long the window is. Displacements and colours are carried from frame to frame at
-full strength, and each frame takes its own share at the end: a strength that changes from frame to
-frame does not change how frames follow each other.
+full strength, and each frame takes its own share at the end: of a strength that changes from frame
+to frame, only the share of thickening changes what frames are optimised on.
 """
 
 import time

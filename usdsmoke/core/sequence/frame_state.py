@@ -310,7 +310,6 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     scene, targets = context.scene, context.targets
     if config is not shared:
         scene, targets = frame_scene(scene, config.optics.gamma), targets.weighted(config.style)
-    check_half(frame.density, frame.time_code, scene.gamma_w, config)
 
     # thicken the smoke, and find what is visible and not masked
     density = raw = refine_field(frame.density, shared.grids.refine)
@@ -323,6 +322,7 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     if curve is not None and (mask is not None or config.optimize.strength < 1):
         density = changed_in_part(raw, density, source, mask, config.optimize.strength)
         source = smoke = activate(density, frame.density_to_stage, context.device)
+    check_half(density, frame.time_code, scene.gamma_w, config)
     left_out, n_outside = _why_left_out(source, mask, visibility, config), None
     if visibility is not None:
         n_outside = int((visibility.at(source.positions) == 0).sum())

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.smoke.voxels import LEAST_DENSITY, occupied
 
 _WIDEST = 1e8  # times the density that the search begins at, and its inverse
 _NEAR = 1e-5  # of the thickness: the knee is found
@@ -15,7 +16,7 @@ _TRIALS = 40  # at most; it takes about eight
 
 @dataclass(frozen=True)
 class Thickening:
-    """The curve density -> ``times`` knee ln(1 + density / knee), strictly increasing.
+    """The curve density -> ``times`` knee ln(1 + density / knee), which keeps their order.
 
     Far below the knee density grows ``times`` as large, and far above it by the logarithm alone.
     The paper has no such curve; decision 064.
@@ -24,18 +25,27 @@ class Thickening:
     times: float  # >= 1
     knee: float  # density, > 0
 
-    def __call__(self, density: np.ndarray) -> np.ndarray:
-        """The thickened density, any shape, of the same type; 0 and below stay as they are."""
-        found = np.log1p(np.maximum(density, 0) / self.knee) * (self.times * self.knee)
-        return np.where(density > 0, found, density).astype(density.dtype)
+    def __call__(self, density: np.ndarray, floor: float = 0.0) -> np.ndarray:
+        """The thickened density, any shape, of the same type.
+
+        Args:
+            floor: what a simulation leaves everywhere; densities down to it stay as they are, and
+                of others what lies above it is thickened.
+        """
+        above = np.maximum(density.astype(np.float64) - floor, 0.0)  # 32 bits do not hold ratios
+        found = floor + np.log1p(above / self.knee) * (self.times * self.knee)
+        return np.where(above > 0, found, density).astype(density.dtype)
 
     def of_frame(self, frame: VolumeFrame) -> VolumeFrame:
         """The frame with all of its density thickened."""
         return replace(frame, density=self.of_field(frame.density))
 
     def of_field(self, field: DenseField) -> DenseField:
-        """The field with all of its values thickened."""
-        return replace(field, values=self(field.values))
+        """The field with all of its values thickened that lie above its floor and background."""
+        if not (field.values > LEAST_DENSITY).any():
+            return field
+        floor = max(occupied(field, np.eye(4)).floor, float(np.max(field.background)))
+        return replace(field, values=self(field.values, floor))
 
 
 def find_thickening(

@@ -33,7 +33,7 @@ def train_on_frames(
     n_iterations: int,
     tell: Callable[[TrainState], None],
 ) -> TrainedOnFrames:
-    """A generator for the colours of a shot, trained on its smoke as it is in the files.
+    """A generator for the colours of a shot, trained on its smoke, which is not moved.
 
     Args:
         frames: the last one is held out where there are several; those with nothing to paint are

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -25,36 +26,59 @@ MOST_TIMES = 10.0  # of smoke that is not asked to be thickened by more
 _HALVINGS = 4  # of the range of times: to a seventh
 
 
-def dense_columns(smoke: Voxels, view: View) -> tuple[np.ndarray, int]:
-    """Column integrals of density where there is smoke, [P], density x stage unit; and how many
-    there are with those that are left out.
+@dataclass(frozen=True)
+class SeenSmoke:
+    """The smoke of a frame as one view sees it.
 
-    Pixels that only the smoke's fringe reaches are left out, by what the dense columns have: the
-    densest one may be that of one voxel.
-
-    Args:
-        view: from ``fit_view``.
+    The columns that count are those of the source, behind any curve. Pixels that only the smoke's
+    fringe reaches are left out, by what the dense columns have: the densest one may be that of one
+    voxel.
     """
-    columns = splat(bounded(smoke), view)
-    some = columns[columns > 0]
-    return some[some > FRINGE * ranked(some, DENSE_COLUMNS)], len(some)
+
+    smoke: Voxels  # of the source, without a floor
+    view: View  # from ``fit_view``
+    floor: float = 0.0  # density of the smoke's floor; it is not thickened
+
+    def behind(self, curve: Thickening | None) -> Voxels:
+        """The smoke behind a curve."""
+        if curve is None:
+            return self.smoke
+        return replace(self.smoke, density=curve(self.smoke.density, self.floor))
+
+    def columns(self, curve: Thickening | None = None) -> np.ndarray:
+        """Integrals of density where there is smoke, [P], density x stage unit."""
+        if curve is None:
+            return self._source[self._counts]
+        return splat(bounded(self.behind(curve)), self.view)[self._counts]
+
+    @property
+    def n_columns(self) -> int:
+        """How many columns there are, with those that are left out."""
+        return int((self._source > 0).sum())
+
+    @cached_property
+    def _source(self) -> np.ndarray:
+        return splat(bounded(self.smoke), self.view)
+
+    @cached_property
+    def _counts(self) -> np.ndarray:
+        dense = ranked(self._source[self._source > 0], DENSE_COLUMNS)
+        return self._source > FRINGE * dense
 
 
-def thick_columns(
-    seen: Sequence[tuple[Voxels, View]], percentile: float
-) -> tuple[list[np.ndarray], float, float]:
-    """The columns of each frame, what thick ones have, and the share of all that is as thick.
+def column_percentile(
+    seen: Sequence[SeenSmoke], percentile: float, curve: Thickening | None = None
+) -> float:
+    """A percentile of the columns behind a curve, the median of the frames'.
 
     Frames count by their number of voxels: a wisp before or after the smoke hardly does, and one
     frame with another unit has no larger weight.
     """
-    found = [dense_columns(*pair) for pair in seen]
-    columns, sizes = [dense for dense, _ in found], frame_sizes(seen)
-    thick = weighted_median([float(np.percentile(c, percentile)) for c in columns], sizes)
-    return columns, thick, weighted_median([float((c >= thick).sum() / n) for c, n in found], sizes)
+    found = [float(np.percentile(one.columns(curve), percentile)) for one in seen]
+    return weighted_median(found, seen)
 
 
-def find_curve(seen: Sequence[tuple[Voxels, View]], optics: OpticsConfig) -> Thickening | None:
+def find_curve(seen: Sequence[SeenSmoke], optics: OpticsConfig) -> Thickening | None:
     """The curve of ``optics.thicken``; None where density stays as it is.
 
     An unset knee is the one with which thick columns keep what they have. Unset times are what
@@ -62,73 +86,49 @@ def find_curve(seen: Sequence[tuple[Voxels, View]], optics: OpticsConfig) -> Thi
     """
     if optics.thicken is not None:
         return _curve(seen, optics, optics.thicken) if optics.thicken > 1 else None
-    if _thin_share(seen, optics) >= THIN_SHARE:
+    if _thin_share(seen, optics, None) >= THIN_SHARE:
         return None
     low, high, found = 0.0, math.log(MOST_TIMES), _curve(seen, optics, MOST_TIMES)
-    if _thin_share(_all_thickened(seen, found), optics) < THIN_SHARE:
+    if _thin_share(seen, optics, found) < THIN_SHARE:
         return found
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         curve = _curve(seen, optics, math.exp(middle))
-        if _thin_share(_all_thickened(seen, curve), optics) < THIN_SHARE:
+        if _thin_share(seen, optics, curve) < THIN_SHARE:
             low = middle
         else:
             high, found = middle, curve
     return found
 
 
-def _curve(
-    seen: Sequence[tuple[Voxels, View]], optics: OpticsConfig, times: float
-) -> Thickening | None:
+def _curve(seen: Sequence[SeenSmoke], optics: OpticsConfig, times: float) -> Thickening | None:
     if optics.knee is not None:
         return Thickening(times, optics.knee)
-    dense = [ranked(smoke.density, DENSE_COLUMNS) for smoke, _ in seen]
-    usual = weighted_median(dense, frame_sizes(seen))
+    dense = [ranked(one.smoke.density, DENSE_COLUMNS) for one in seen]
 
     def thickness(curve: Thickening) -> float:
-        return thick_columns(_all_thickened(seen, curve), optics.percentile)[1]
+        return column_percentile(seen, optics.percentile, curve)
 
-    wanted = thick_columns(seen, optics.percentile)[1]
-    return find_thickening(times, usual, thickness, wanted)
+    wanted = column_percentile(seen, optics.percentile)
+    return find_thickening(times, weighted_median(dense, seen), thickness, wanted)
 
 
-def _thin_share(seen: Sequence[tuple[Voxels, View]], optics: OpticsConfig) -> float:
+def _thin_share(seen: Sequence[SeenSmoke], optics: OpticsConfig, curve: Thickening | None) -> float:
     """What the thin columns have of what the thick ones have; 1 without smoke."""
-    columns, thick, _ = thick_columns(seen, optics.percentile)
-    thin = weighted_median([float(np.percentile(c, THIN)) for c in columns], frame_sizes(seen))
-    return thin / thick if thick > 0 else 1.0
+    thick = column_percentile(seen, optics.percentile, curve)
+    return column_percentile(seen, THIN, curve) / thick if thick > 0 else 1.0
 
 
-def _all_thickened(
-    seen: Sequence[tuple[Voxels, View]], curve: Thickening | None
-) -> list[tuple[Voxels, View]]:
-    return [(thickened(smoke, curve), view) for smoke, view in seen]
-
-
-def thickened(smoke: Voxels, curve: Thickening | None) -> Voxels:
-    """The smoke behind a curve."""
-    return smoke if curve is None else replace(smoke, density=curve(smoke.density))
-
-
-def frame_sizes(seen: Sequence[tuple[Voxels, View]]) -> list[int]:
-    """What frames count by: their numbers of voxels."""
-    return [len(smoke.ijk) for smoke, _ in seen]
-
-
-def weighted_median(values: Sequence[float], weights: Sequence[float]) -> float:
-    """The median of weighted values; the usual one where all weigh the same.
-
-    >>> weighted_median([30.0, 1.0, 2.0], [1, 1, 9])
-    2.0
-    """
+def weighted_median(values: Sequence[float], seen: Sequence[SeenSmoke]) -> float:
+    """The median of a value of each frame, which counts by its number of voxels."""
     order = np.argsort(values)
-    weight = np.asarray(weights, float)[order]
+    weight = np.array([len(one.smoke.ijk) for one in seen], float)[order]
     middles = weight.cumsum() - weight / 2
     return float(np.interp(weight.sum() / 2, middles, np.asarray(values)[order]))
 
 
-def hidden_mass(smoke: Voxels, view: View, thick: float) -> float:
+def hidden_mass(seen: SeenSmoke, curve: Thickening | None, thick: float) -> float:
     """The share of the mass in columns ``MUCH`` times as thick; 0 where those are few."""
-    columns = splat(smoke, view)
+    columns = splat(seen.behind(curve), seen.view)
     dense = columns[columns > MUCH * thick]
     return float(dense.sum() / columns.sum()) if len(dense) >= _SEVERAL else 0.0

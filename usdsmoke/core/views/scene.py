@@ -19,12 +19,10 @@ from usdsmoke.core.smoke.thicken import Thickening
 from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
 from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
 from usdsmoke.core.views.column_depths import (
-    dense_columns,
+    SeenSmoke,
+    column_percentile,
     find_curve,
-    frame_sizes,
     hidden_mass,
-    thick_columns,
-    thickened,
     weighted_median,
 )
 from usdsmoke.core.views.frustum import nearest_footprint, visible_part
@@ -200,6 +198,27 @@ def _middle_view(
     return fit_view(view, smoke)
 
 
+def _seen_smoke(
+    filled: Sequence[tuple[Voxels, CameraSource | None]],
+    views: ViewsConfig,
+    up_axis: str,
+    coarse: float,
+) -> list[SeenSmoke]:
+    """What each camera sees of the frames' smoke; all of it where no camera sees any.
+
+    Args:
+        coarse: pixels, stage units.
+    """
+    parts = [(smoke, camera, smoke.floor) for smoke, camera in filled]
+    visible = [(visible_part(s, c, views.camera_margin), c, floor) for s, c, floor in parts]
+    found = []
+    for smoke, camera, floor in [item for item in visible if not item[0].is_empty] or parts:
+        main = smoke.main_part()
+        view = _middle_view(main, views, up_axis, coarse, camera)
+        found.append(SeenSmoke(main, view, floor))
+    return found
+
+
 def measure_scene(
     frames: Sequence[VolumeFrame],
     views: ViewsConfig,
@@ -239,11 +258,12 @@ def measure_scene(
     pixel_size = _pixel_size(longest, shortest, visible, views, refine)
     fine = _pixel_size(near, shortest, visible, views, refine) if near < longest else pixel_size
     coarse = max(fine, voxel)
-    main = [(smoke.main_part(), camera) for smoke, camera in visible or filled]
-    seen = [(part, _middle_view(part, views, up_axis, coarse, camera)) for part, camera in main]
+    seen = _seen_smoke(filled, views, up_axis, coarse)
     curve = find_curve(seen, optics)
-    seen = [(thickened(smoke, curve), view) for smoke, view in seen]
-    columns, thick, share = thick_columns(seen, optics.percentile)
+    columns = [one.columns(curve) for one in seen]
+    thick = column_percentile(seen, optics.percentile, curve)
+    pairs = zip(columns, seen, strict=True)
+    share = weighted_median([float((c >= thick).sum() / one.n_columns) for c, one in pairs], seen)
     asked = ((optics.gamma, optics.depth), (optics.gamma_shape, optics.depth_shape))
     gamma_w, gamma_w_shape = (
         depth / thick if gamma is None else gamma / voxel for gamma, depth in asked
@@ -256,7 +276,7 @@ def measure_scene(
         gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, image_size,
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
         thick=thick, thick_share=share, widened=longest / near if fine < pixel_size else 1.0,
-        hidden=weighted_median([hidden_mass(*pair, thick) for pair in seen], frame_sizes(seen)),
+        hidden=weighted_median([hidden_mass(one, curve, thick) for one in seen], seen),
         stops=stops, thicken=curve.times if curve else 1.0, knee=curve.knee if curve else 0.0,
     )  # fmt: skip
 
@@ -273,7 +293,7 @@ def thick_column(
     coarse = max(scene.pixel_size, scene.reference_voxel_size)
     voxels = smoke.voxels.main_part()
     view = _middle_view(voxels, views, scene.up_axis, coarse, scene.camera)
-    return float(np.percentile(dense_columns(voxels, view)[0], percentile))
+    return float(np.percentile(SeenSmoke(voxels, view).columns(), percentile))
 
 
 def frame_scene(scene: Scene, gamma: float | None) -> Scene:

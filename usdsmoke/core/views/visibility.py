@@ -195,10 +195,12 @@ def changed_in_part(
         smoke: its active voxels.
         mask: None: the same ``strength`` everywhere.
     """
-    share = strength if mask is None else strength * mask.at(smoke.positions).cpu().numpy()
+    share = np.full(len(smoke.ijk), strength)
+    if mask is not None:
+        share *= mask.at(smoke.positions).cpu().numpy()
     at = tuple((smoke.ijk.cpu().numpy() - field.ijk_min).T)
     values = field.values.copy()
-    values[at] += share * (changed.values[at] - values[at])
+    values[at] = (1 - share) * values[at] + share * changed.values[at]
     return replace(field, values=values)
 
 
