@@ -12,6 +12,7 @@ from tests.fixtures.stylize_fixtures import MOST_LIGHT, by_voxel, quick_config, 
 from usdsmoke.base.errors import NonFiniteError, PlanError
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame
+from usdsmoke.core.smoke.thicken import Thickening
 
 DENSITY = puff(10)
 COLOUR_ONLY = {"optimize": {"steps": ["colour"], "threads": 1}}
@@ -66,6 +67,14 @@ def test_densities_whose_sums_overflow_are_refused_by_name(largest):
 def test_density_over_sixty_orders_of_magnitude():
     density = DENSITY * np.float32(10.0) ** np.random.default_rng(0).uniform(-30, 30, DENSITY.shape)
     assert_sound(run_core([frame_of(density)])[0], density)
+
+
+def test_no_voxel_is_lost_behind_the_curve_that_thickens():
+    """Also over sixty orders of magnitude, which ratios of 32 bits do not hold."""
+    values = np.float32(10.0) ** np.arange(-37, 31, dtype=np.float32)
+    for knee in (1e-30, 1.0, 1e20):
+        found = Thickening(10.0, knee)(values)
+        assert np.isfinite(found).all() and (found > 0).all() and (np.diff(found) >= 0).all()
 
 
 def test_denormal_density_counts_as_none():

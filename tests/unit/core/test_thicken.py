@@ -209,13 +209,6 @@ def test_a_floor_is_not_thickened():
     assert (found[smoke] > 1.5 * density[smoke]).all()
 
 
-def test_sixty_orders_of_magnitude_stay_finite_and_none_is_lost():
-    values = np.float32(10.0) ** np.arange(-37, 31, dtype=np.float32)
-    for knee in (1e-30, 1.0, 1e20):
-        found = Thickening(10.0, knee)(values)
-        assert np.isfinite(found).all() and (found > 0).all() and (np.diff(found) >= 0).all()
-
-
 @pytest.mark.parametrize("dense", [1e8, 1e30])
 def test_a_mask_of_one_keeps_a_voxel_that_is_far_denser_than_its_thickened_density(dense: float):
     density = DENSITY.copy()
