@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.core.smoke.voxels import LEAST_DENSITY, occupied
+from usdsmoke.core.smoke.voxels import occupied
 
 _WIDEST = 1e8  # times the density that the search begins at, and its inverse
 _NEAR = 1e-5  # of the thickness: the knee is found
@@ -42,9 +42,10 @@ class Thickening:
 
     def of_field(self, field: DenseField) -> DenseField:
         """The field with all of its values thickened that lie above its floor and background."""
-        if not (field.values > LEAST_DENSITY).any():
+        smoke = occupied(field, np.eye(4))
+        if smoke.is_empty:
             return field
-        floor = max(occupied(field, np.eye(4)).floor, float(np.max(field.background)))
+        floor = max(smoke.floor, float(np.max(field.background)))
         return replace(field, values=self(field.values, floor))
 
 

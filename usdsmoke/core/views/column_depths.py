@@ -67,15 +67,14 @@ class SeenSmoke:
 
 
 def column_percentile(
-    seen: Sequence[SeenSmoke], percentile: float, curve: Thickening | None = None
+    columns: Sequence[np.ndarray], seen: Sequence[SeenSmoke], percentile: float
 ) -> float:
-    """A percentile of the columns behind a curve, the median of the frames'.
+    """A percentile of each frame's columns, and the median of these.
 
     Frames count by their number of voxels: a wisp before or after the smoke hardly does, and one
     frame with another unit has no larger weight.
     """
-    found = [float(np.percentile(one.columns(curve), percentile)) for one in seen]
-    return weighted_median(found, seen)
+    return weighted_median([float(np.percentile(c, percentile)) for c in columns], seen)
 
 
 def find_curve(seen: Sequence[SeenSmoke], optics: OpticsConfig) -> Thickening | None:
@@ -106,17 +105,17 @@ def _curve(seen: Sequence[SeenSmoke], optics: OpticsConfig, times: float) -> Thi
         return Thickening(times, optics.knee)
     dense = [ranked(one.smoke.density, DENSE_COLUMNS) for one in seen]
 
-    def thickness(curve: Thickening) -> float:
-        return column_percentile(seen, optics.percentile, curve)
+    def thickness(curve: Thickening | None) -> float:
+        return column_percentile([one.columns(curve) for one in seen], seen, optics.percentile)
 
-    wanted = column_percentile(seen, optics.percentile)
-    return find_thickening(times, weighted_median(dense, seen), thickness, wanted)
+    return find_thickening(times, weighted_median(dense, seen), thickness, thickness(None))
 
 
 def _thin_share(seen: Sequence[SeenSmoke], optics: OpticsConfig, curve: Thickening | None) -> float:
     """What the thin columns have of what the thick ones have; 1 without smoke."""
-    thick = column_percentile(seen, optics.percentile, curve)
-    return column_percentile(seen, THIN, curve) / thick if thick > 0 else 1.0
+    columns = [one.columns(curve) for one in seen]
+    thin, thick = (column_percentile(columns, seen, rank) for rank in (THIN, optics.percentile))
+    return thin / thick if thick > 0 else 1.0
 
 
 def weighted_median(values: Sequence[float], seen: Sequence[SeenSmoke]) -> float:

@@ -199,23 +199,21 @@ def _middle_view(
 
 
 def _seen_smoke(
-    filled: Sequence[tuple[Voxels, CameraSource | None]],
+    smoke: Sequence[tuple[Voxels, CameraSource | None, float]],
     views: ViewsConfig,
     up_axis: str,
     coarse: float,
 ) -> list[SeenSmoke]:
-    """What each camera sees of the frames' smoke; all of it where no camera sees any.
+    """The main part of each frame's smoke, from the middle view.
 
     Args:
+        smoke: with its camera, and the density of the floor of all of the frame.
         coarse: pixels, stage units.
     """
-    parts = [(smoke, camera, smoke.floor) for smoke, camera in filled]
-    visible = [(visible_part(s, c, views.camera_margin), c, floor) for s, c, floor in parts]
     found = []
-    for smoke, camera, floor in [item for item in visible if not item[0].is_empty] or parts:
-        main = smoke.main_part()
-        view = _middle_view(main, views, up_axis, coarse, camera)
-        found.append(SeenSmoke(main, view, floor))
+    for part, camera, floor in smoke:
+        main = part.main_part()
+        found.append(SeenSmoke(main, _middle_view(main, views, up_axis, coarse, camera), floor))
     return found
 
 
@@ -252,16 +250,17 @@ def measure_scene(
         return Scene(1.0, 1.0, 1.0, up_axis, 1.0, views.image_size, stops=stops)
     voxel = float(np.median([smoke.voxel_size for smoke, _ in filled]))
     longest, near = _picture_sides(filled, views, up_axis)
-    parts = [(visible_part(smoke, camera, views.camera_margin), camera) for smoke, camera in filled]
-    visible = [(part, camera) for part, camera in parts if not part.is_empty]
+    whole = [(smoke, camera, smoke.floor) for smoke, camera in filled]
+    parts = [(visible_part(s, c, views.camera_margin), c, floor) for s, c, floor in whole]
+    shown = [item for item in parts if not item[0].is_empty]
+    visible = [(part, camera) for part, camera, _ in shown]
     shortest = float(np.median([_shortest_edge(smoke) for smoke, _ in filled]))
     pixel_size = _pixel_size(longest, shortest, visible, views, refine)
     fine = _pixel_size(near, shortest, visible, views, refine) if near < longest else pixel_size
-    coarse = max(fine, voxel)
-    seen = _seen_smoke(filled, views, up_axis, coarse)
+    seen = _seen_smoke(shown or whole, views, up_axis, max(fine, voxel))
     curve = find_curve(seen, optics)
     columns = [one.columns(curve) for one in seen]
-    thick = column_percentile(seen, optics.percentile, curve)
+    thick = column_percentile(columns, seen, optics.percentile)
     pairs = zip(columns, seen, strict=True)
     share = weighted_median([float((c >= thick).sum() / one.n_columns) for c, one in pairs], seen)
     asked = ((optics.gamma, optics.depth), (optics.gamma_shape, optics.depth_shape))
@@ -271,9 +270,8 @@ def measure_scene(
     exposure, exposure_shape = (_exposure(gamma, thick) for gamma in (gamma_w, gamma_w_shape))
     grey = -np.expm1(-gamma_w_shape * np.concatenate(columns)) * exposure_shape
     inside = grey[grey > 0.3] if (grey > 0.3).any() else grey
-    image_size = math.ceil(longest / pixel_size - 1e-6)
     return Scene(
-        gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, image_size,
+        gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, math.ceil(longest / pixel_size - 1e-6),
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
         thick=thick, thick_share=share, widened=longest / near if fine < pixel_size else 1.0,
         hidden=weighted_median([hidden_mass(one, curve, thick) for one in seen], seen),
