@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from benchmarks.splats import display_picture, grey_picture, render_view
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
+from usdsmoke.core.steps.targets import find_style_size
 from usdsmoke.core.style.losses import StyleTarget
 from usdsmoke.core.views.scene import Scene, measure_scene
 
@@ -134,8 +135,10 @@ class Studio:
         frame = fading_mask(self.frames[kind]) if masked else self.frames[kind]
         config = resolve_config([*self._settings[kind], *settings])
         scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+        images = [self.styles[style]]
+        scene = replace(scene, style_size=find_style_size(images, scene, config))
         with _guidance(guided):
-            (stylized,) = stylize_window([frame], [self.styles[style]], scene, config)
+            (stylized,) = stylize_window([frame], images, scene, config)
         return Look(stylized, scene, frame)
 
 

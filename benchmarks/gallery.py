@@ -101,7 +101,7 @@ def _scores(look: Look, style: np.ndarray, kind: str) -> dict[str, float]:
     assert frame.emission is not None
     result = Result(frame.density, frame.emission, np.eye(4), scene.gamma_w, scene.up_axis)
     size = min(scene.image_size, max(frame.density.values.shape))
-    scaled = scale_style(style, size, StyleConfig(), torch.zeros(())).numpy()
+    scaled = scale_style(style, size, StyleConfig(size=scene.style_size), torch.zeros(())).numpy()
     if kind == "2-D":
         found, _ = score_result(result, scaled, [(0.0, 0.0)], size, "splats")
     else:

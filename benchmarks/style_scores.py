@@ -21,12 +21,13 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from pxr import Usd
+from pxr import Sdf, Usd
 
 from benchmarks.circumstances import circumstances
 from benchmarks.held_out import held_out_angles, read_result, read_style, score_result
 from benchmarks.stages import find_stages
 from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.usd.layer_record import read_record
 
 __all__ = ["Run", "main", "stylize_in_child"]
 
@@ -111,6 +112,12 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
+def _style_size(look_folder: Path) -> float:
+    record = read_record(Sdf.Layer.FindOrOpen(str(look_folder / "look.usda")))
+    asked = record.settings["style"]["size"]
+    return record.scenes[0]["style_size"] if asked is None else asked
+
+
 def _default_styles(data_folder: Path, out_folder: Path) -> list[Path]:
     painted = out_folder / "styles"
     if not all((painted / f"{name}.png").is_file() for name in PAINTED):
@@ -129,7 +136,7 @@ def _measure(stage: Path, style: Path, options: argparse.Namespace) -> list[Run]
     cost = json.loads(noted.read_text(encoding="utf-8"))
     (root_stage,) = folder.glob("*_look.usda")
     result = read_result(Usd.Stage.Open(str(root_stage)))
-    picture = read_style(style, IMAGE_SIZE)
+    picture = read_style(style, IMAGE_SIZE, _style_size(folder))
     runs = []
     for cameras in ["front"] if options.quick else RANGES:
         angles = held_out_angles(options.views, *RANGES[cameras])

@@ -150,7 +150,7 @@ def _part(volume: VolumePlan) -> list[str]:
         f"extinction and picture size of <{volume.source.prim_path}> are measured on "
         f"{len(volume.frames)} of {n_all}. Another selection looks slightly different. To keep one "
         "look, make this result longer with the same command and more --frames, or set "
-        "optics.gamma, optics.gamma_shape, optics.thicken and optics.knee"
+        "optics.gamma, optics.gamma_shape, optics.thicken, optics.knee and style.size"
     ]
 
 
@@ -332,10 +332,10 @@ def _tiny_style(volume: VolumePlan) -> list[str]:
     """A style that settings reduce to a few pixels."""
     style, refine = volume.config.style, volume.config.grids.refine
     pixels = min(volume.config.views.image_size, _longest(volume) * refine)
-    left = pixels * style.size / style.tiling
+    left = pixels * (style.size or 1.0) / style.tiling
     if left >= min(_FEWEST_PIXELS, pixels):
         return []
-    names = [name for name in ("size", "tiling") if getattr(style, name) != 1]
+    names = [name for name in ("size", "tiling") if getattr(style, name) not in (None, 1)]
     asked = " and ".join(f"style.{name}={getattr(style, name):g}" for name in names)
     return [
         f"{asked} reduces the style to {max(1, round(left))} of the {pixels} pixels of a picture "

@@ -298,13 +298,14 @@ def _smoke_names(volume: VolumePlan) -> list[str]:
 
 def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
     """The extinctions that a run of other frames of the shot would need for the same look."""
-    voxel = scene["reference_voxel_size"]
+    voxel, size = scene["reference_voxel_size"], volume.config.style.size
+    size = scene.get("style_size", 1.0) if size is None else size
     return (
         f"<{volume.source.prim_path}>: the opacity was measured on these frames. To make other "
         "frames of the shot alike in another folder, set "
         f"optics.gamma={scene['gamma_w'] * voxel:.6g} and "
         f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g}{_curve(scene)}, the gammas per "
-        "voxel (gamma_w is per stage unit)"
+        f"voxel (gamma_w is per stage unit), and style.size={size:.4g}"
     )
 
 

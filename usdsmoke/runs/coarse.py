@@ -17,7 +17,8 @@ from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
 from usdsmoke.planning.frame_reader import FrameReader
-from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask, named_frames
+from usdsmoke.planning.job import Job
+from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask, named_frames
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, network_file_name
 from usdsmoke.runs.opened import OpenRun, has_coarse_step, missing_starts
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
@@ -32,8 +33,9 @@ if TYPE_CHECKING:
     from usdsmoke.core.views.scene import Scene
 
 
-def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
-    """Extinction and picture size of every Volume, from up to three frames of its sequence.
+def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
+    """Extinction, picture size and size of the style of every Volume, from up to three frames of
+    its sequence.
 
     Returns:
         JSON values; their numbers come back from a file bit for bit.
@@ -42,16 +44,19 @@ def measure_scenes(reader: FrameReader, plan: Plan) -> list[dict[str, Any]]:
         GridError, NonFiniteError: see ``FrameReader.read``.
     """
     from usdsmoke.core.smoke.device import describe_machine
+    from usdsmoke.core.steps.targets import find_style_size
     from usdsmoke.core.views.scene import measure_scene
 
-    describe_machine(plan.config.optimize)  # and use its threads
+    describe_machine(job.plan.config.optimize)  # and use its threads
     scenes = []
-    for volume in plan.volumes:
+    for volume in job.plan.volumes:
         frames = [reader.read(volume, frame) for frame in measured_frames(volume)]
         config = volume.config
         scene = measure_scene(
-            frames, config.views, config.optics, plan.source.up_axis, config.grids.refine
+            frames, config.views, config.optics, job.plan.source.up_axis, config.grids.refine
         )
+        size = find_style_size(job.pictures(volume), scene, config)
+        scene = dataclasses.replace(scene, style_size=size)
         if config.colour.target == "albedo" and config.optics.exposure is None:
             from usdsmoke.core.steps.light_share import white_exposure
 

@@ -102,7 +102,7 @@ def train(
 
     reader = FrameReader(job.plan)
     try:
-        scene = measure_scenes(reader, job.plan)[job.plan.volumes.index(volume)]
+        scene = measure_scenes(reader, job)[job.plan.volumes.index(volume)]
         found = _train(job, reader, (volume, frames, scene), n_iterations, report)
     except KeyboardInterrupt:
         raise Interrupted(f"stopped. {target} is unchanged.") from None
@@ -141,7 +141,7 @@ def record_scenes(opened: OpenRun, tell: RunProgressCallback) -> None:
 
 def _find_scenes(opened: OpenRun, tell: RunProgressCallback) -> list[dict[str, Any]]:
     known = [dict(scene) for scene in opened.job.scenes]
-    scenes = known or measure_scenes(opened.reader, opened.plan)
+    scenes = known or measure_scenes(opened.reader, opened.job)
     for number, (volume, scene) in enumerate(zip(opened.plan.volumes, scenes, strict=True)):
         if volume.config.optimize.trains:
             scene |= _train_own(opened, number, scene, tell)

@@ -172,7 +172,7 @@ def open_case(job: Job, longest: int, seconds: float) -> Case:
     volume, frames = job.plan.largest_volume()
     chosen, reader = frames[len(frames) // 2], FrameReader(job.plan)
     place = next(n for n, other in enumerate(job.plan.volumes) if other is volume)
-    scene = Scene(**measure_scenes(reader, job.plan)[place])
+    scene = Scene(**measure_scenes(reader, job)[place])
     frame = reader.read(volume, chosen)
     curve = scene.thickening
     if curve is not None:

@@ -165,7 +165,7 @@ def _draw(
 
     from usdsmoke.core.smoke.active import activate
     from usdsmoke.core.steps.pictures import prepare_views
-    from usdsmoke.core.steps.targets import make_targets
+    from usdsmoke.core.steps.targets import find_style_size, make_targets
     from usdsmoke.core.views.cameras import orbit_view
     from usdsmoke.core.views.lighting import light_smoke
     from usdsmoke.core.views.scene import fit_view, measure_scene
@@ -177,6 +177,7 @@ def _draw(
         gamma_w=look.gamma_w,
     )
     smoke = activate(look.density, place, device)
+    scene = replace(scene, style_size=find_style_size(images, scene, config))
     targets = make_targets(images, scene, config, device)
     lighting = light_smoke(smoke, look.gamma_w, look.scattering)
     emitted = _per_extinction(look, smoke.ijk.numpy())

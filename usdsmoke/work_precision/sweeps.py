@@ -284,10 +284,12 @@ def _style_patches(case: Case) -> "Tensor":
     """Patches of the first style at the pictures' size, [N D]."""
     import torch
 
+    from usdsmoke.core.steps.targets import sized_style
     from usdsmoke.core.style.style_image import scale_style
 
+    scene, like = case.small_scene, torch.zeros(())
     style = scale_style(
-        case.styles[0], case.small_scene.image_size, case.config.style, torch.zeros(())
+        case.styles[0], scene.image_size, sized_style(case.config.style, scene), like
     )
     return _patches(torch.cat([style, torch.ones_like(style[..., :1])], dim=-1))
 

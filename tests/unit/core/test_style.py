@@ -5,9 +5,21 @@ import pytest
 import torch
 
 from tests.fixtures.smoke_fixtures import random_style
+from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import StyleConfig
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luma
-from usdsmoke.core.style.style_image import SMALLEST, adjust_tones, match_grey, scale_style
+from usdsmoke.core.steps.targets import find_style_size
+from usdsmoke.core.style.style_image import (
+    LEAST_WAVELENGTH,
+    SIZES,
+    SMALLEST,
+    adjust_tones,
+    find_size,
+    match_grey,
+    mean_wavelength,
+    scale_style,
+)
+from usdsmoke.core.views.scene import Scene
 
 LIKE = torch.zeros(())
 
@@ -85,3 +97,67 @@ def test_grey_style_gets_the_mean_and_contrast_of_the_smoke():
 def test_constant_style_becomes_the_smoke_s_grey(mean):
     matched = match_grey(torch.full((8, 8, 3), 0.7), mean, 0.2)
     assert torch.allclose(matched, torch.full_like(matched, mean), atol=1e-3)
+
+
+def stripes(wavelength: float, finer: int = 4) -> np.ndarray:
+    """Stripes that are ``wavelength`` wide where the image is reduced to 96 pixels."""
+    phase = 2 * np.pi / (wavelength * finer) * np.arange(96 * finer)
+    light = (0.5 + 0.4 * np.sin(phase)).astype(np.float32)
+    return np.broadcast_to(light[None, :, None], (96 * finer, 96 * finer, 3)).copy()
+
+
+@pytest.mark.parametrize("wavelength", [2.5, 4.0, 9.7])
+def test_the_mean_wavelength_of_stripes_is_theirs(wavelength):
+    turned = torch.tensor(stripes(wavelength, finer=1)).transpose(0, 1)
+    assert mean_wavelength(turned) == pytest.approx(wavelength, rel=0.02)
+
+
+def test_the_mean_wavelength_of_noise_and_of_one_colour():
+    noise = torch.rand(200, 200, 1, generator=torch.Generator().manual_seed(0)).expand(-1, -1, 3)
+    assert mean_wavelength(noise) == pytest.approx(2.1, abs=0.1)
+    assert mean_wavelength(torch.full((20, 30, 3), 0.3)) == float("inf")
+
+
+@pytest.mark.parametrize(("wavelength", "pixels"), [(2.6, 96), (5.2, 48), (5.2, 96), (9.0, 96)])
+def test_marks_are_enlarged_to_what_voxels_hold_and_not_further(wavelength, pixels):
+    style = stripes(wavelength)
+    size = find_size(style, pixels)
+    wanted = next(size for size in SIZES if wavelength * pixels / 96 * size >= LEAST_WAVELENGTH)
+    assert size == wanted
+
+
+def test_noise_at_any_size_gets_one_of_the_sizes():
+    assert find_size(random_style(200, 200), 60) in SIZES
+
+
+def shot_size(styles: list[np.ndarray], changes: dict, **scene) -> float:
+    scene = Scene(1, 1, 1, "Y", 1, 96, **scene)
+    return find_style_size(styles, scene, resolve_config(changes))
+
+
+def test_a_set_size_and_a_tiled_image_are_left_alone():
+    fine = [stripes(2.6)]
+    assert shot_size(fine, {}) > 1
+    assert shot_size(fine, {"style": {"size": 0.5}}) == 1
+    assert shot_size(fine, {"style": {"tiling": 2}}) == 1
+
+
+def test_the_image_that_needs_least_decides_and_one_without_weight_does_not_count():
+    fine, wide = stripes(2.6), stripes(9.0)
+    assert shot_size([fine, wide], {}) == 1
+    assert shot_size([fine, wide], {"style": {"weights": [1, 0]}}) == shot_size([fine], {})
+
+
+def test_all_presets_see_marks_of_the_same_size():
+    fine, config = [stripes(5.2)], resolve_config({})
+    whole = Scene(1, 1, 1, "Y", 1, 96)
+    coarse = Scene(1, 1, 2, "Y", 1, 48)  # pictures of half the size, as of a draft
+    refined = Scene(1, 1, 0.5, "Y", 1, 192)
+    sizes = [find_style_size(fine, scene, config) for scene in (whole, coarse)]
+    assert sizes[0] == sizes[1]
+    finer = config.replace(grids=config.grids.replace(refine=2))
+    assert (
+        find_style_size([stripes(2.6)], refined, finer)
+        == 1
+        < find_style_size([stripes(2.6)], whole, config)
+    )

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.sections import LossesConfig, StyleConfig
+from usdsmoke.base.sections import LossesConfig, StyleConfig, ViewsConfig
 from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
@@ -20,7 +20,12 @@ from usdsmoke.core.style.features import build_network
 from usdsmoke.core.style.hues import Hues, count_hues
 from usdsmoke.core.style.layers import content_layers, nearest_layers, style_layers
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
-from usdsmoke.core.style.style_image import adjust_tones, match_grey, scale_style
+from usdsmoke.core.style.style_image import (
+    adjust_tones,
+    find_size,
+    match_grey,
+    scale_style,
+)
 from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
@@ -205,12 +210,12 @@ def make_targets(
     features, seed = config.features, config.optimize.seed
     layers = {name: config.losses.style * weight for name, weight in style_layers(features).items()}
     content = content_layers(features)
-    like = torch.zeros((), device=device)
+    like, sized = torch.zeros((), device=device), sized_style(config.style, scene)
     # made when it is first used: a window of empty frames does not read VGG-19's weights
     network_for, loading = cache(partial(build_network, features, seed)), threading.Lock()
 
     def scaled(pixels: np.ndarray, factor: int = 1) -> Tensor:
-        return scale_style(pixels, scene.image_size / factor, config.style, like)
+        return scale_style(pixels, scene.image_size / factor, sized, like)
 
     def make_target(pixels: np.ndarray, factor: int, grey: bool) -> StyleTarget:
         style = scaled(pixels, factor)
@@ -226,3 +231,26 @@ def make_targets(
     )
     shares = tuple(style_shares(config.style, len(images)))
     return StyleTargets(images, shares, config.losses, device)
+
+
+def sized_style(config: StyleConfig, scene: Scene) -> StyleConfig:
+    """The settings with the size that the shot's scene has, if none is set."""
+    return config if config.size is not None else config.replace(size=scene.style_size)
+
+
+def find_style_size(styles: Sequence[np.ndarray], scene: Scene, config: Config) -> float:
+    """The ``Scene.style_size`` of one shot: marks that are finer than voxels can hold are enlarged.
+
+    Of several images, the one that needs the least decides. Marks are counted in the voxels of the
+    shot or, if these are finer, in pixels of the usual ``views.image_size``, so that presets agree.
+
+    Args:
+        styles: display-encoded images [H W 3] in [0, 1].
+    """
+    if config.style.size is not None or config.style.tiling > 1:
+        return 1.0
+    voxels = scene.image_size * scene.pixel_size * config.grids.refine / scene.reference_voxel_size
+    longer_side = voxels / max(1, round(voxels / ViewsConfig().image_size))
+    shares = style_shares(config.style, len(styles))
+    used = (style for style, share in zip(styles, shares, strict=True) if share > 0)
+    return min(find_size(style, longer_side) for style in used)

@@ -8,6 +8,8 @@ from torch import Tensor
 from usdsmoke.base.sections import StyleConfig
 from usdsmoke.core.smoke.srgb import luma
 
+LEAST_WAVELENGTH = 3.4  # voxels; finer marks are mottle, as no two views agree on them
+SIZES = tuple(2 ** (n / 4) for n in range(7))  # that an unset ``style.size`` is one of
 SMALLEST = 16  # pixels; smaller styles are enlarged to this, or filters of 7 pixels see only border
 
 
@@ -17,12 +19,12 @@ def scale_style(style: np.ndarray, longer_side: float, config: StyleConfig, like
     Args:
         style: [H W 3], display-encoded, in [0, 1].
         longer_side: pixels of the rendered picture's longer side.
-        config: ``tiling`` repeats the image, ``size`` enlarges its structures.
+        config: ``tiling`` repeats the image, ``size`` enlarges its structures; unset it is 1.
         like: gives dtype and device.
     """
     pixels = torch.as_tensor(np.ascontiguousarray(style)).to(like).permute(2, 0, 1)[None]
     height, width = pixels.shape[-2:]
-    scale = longer_side * config.size / config.tiling / max(height, width)
+    scale = longer_side * (config.size or 1.0) / config.tiling / max(height, width)
     size = [max(1, round(height * scale)), max(1, round(width * scale))]
     if size != [height, width]:
         pixels = F.interpolate(
@@ -35,6 +37,41 @@ def scale_style(style: np.ndarray, longer_side: float, config: StyleConfig, like
         size = [round(height * factor), round(width * factor)]
         pixels = F.interpolate(pixels, size=size, mode="nearest")
     return pixels[0].permute(1, 2, 0).clamp(0, 1).contiguous()
+
+
+def find_size(style: np.ndarray, longer_side: float) -> float:
+    """The least of ``SIZES`` with which the style's marks are wide enough for voxels.
+
+    Of a style that has fine marks at any size, the one with the widest.
+
+    Args:
+        style: [H W 3], display-encoded, in [0, 1].
+        longer_side: of the rendered picture, in voxels.
+    """
+    found = 1.0, 0.0
+    for size in SIZES:
+        scaled = scale_style(style, longer_side, StyleConfig(size=size), torch.zeros(()))
+        wavelength = mean_wavelength(scaled)
+        if wavelength >= LEAST_WAVELENGTH:
+            return size
+        found = max(found, (size, wavelength), key=lambda pair: pair[1])
+    return found[0]
+
+
+def mean_wavelength(style: Tensor) -> float:
+    """Of the slopes of an image's luminance [H W 3], in pixels; infinite without slopes.
+
+    1 over the mean spatial frequency, which counts by the power of the slopes. White noise has 2.1.
+    """
+    light = luma(style)
+    light = light - light.mean()
+    for axis, n in enumerate(light.shape):  # borders of the image are no marks
+        light = light * torch.hann_window(n, periodic=False).to(light).unsqueeze(1 - axis)
+    rows, columns = (torch.fft.fftfreq(n).to(light) for n in light.shape)
+    squares = rows[:, None].square() + columns.square()
+    slopes = torch.fft.fft2(light).abs().square() * squares
+    along = float((slopes * squares.sqrt()).sum())
+    return float(slopes.sum()) / along if along > 0 else float("inf")
 
 
 def adjust_tones(style: np.ndarray, config: StyleConfig) -> np.ndarray:

@@ -64,6 +64,7 @@ class Scene:
     network: str = ""  # SHA-256 of the network's file that the run has trained; "": none
     thicken: float = 1.0  # times that the thinnest smoke becomes as dense
     knee: float = 0.0  # density, of the curve of thickening; 0: density stays as it is
+    style_size: float = 1.0  # size of the style, if ``style.size`` is unset
 
     @property
     def thickening(self) -> Thickening | None:
