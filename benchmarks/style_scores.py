@@ -114,8 +114,8 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
 
 def _style_size(look_folder: Path) -> float:
     record = read_record(Sdf.Layer.FindOrOpen(str(look_folder / "look.usda")))
-    asked = record.settings["style"]["size"]
-    return record.scenes[0]["style_size"] if asked is None else asked
+    (size,) = record.style_sizes.values()
+    return size
 
 
 def _default_styles(data_folder: Path, out_folder: Path) -> list[Path]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import usdsmoke
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
@@ -98,3 +99,23 @@ def test_the_result_is_found_sound_by_every_validator(
     )
     assert done.returncode == 0, done.stdout
     assert json.loads(done.stdout)["errors"] == 0
+
+
+@pytest.mark.usefixtures("quick_grids")
+def test_fine_marks_are_enlarged_by_the_size_in_the_record(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    write_raw(shot.stage.parent / "cache/smoke.0001.vdb", raw_grid(ball(0.0)))
+    stripes = np.zeros((56, 56, 3), np.uint8)
+    stripes[::2] = [250, 120, 20]
+    Image.fromarray(stripes).resize((112, 112), Image.Resampling.NEAREST).save(shot.style)
+
+    def colours(name: str, *settings: str) -> tuple[float, np.ndarray]:
+        made = usdsmoke.stylize(shot.stage, shot.style, tmp_path / name, [*QUICK, *settings])
+        (found,) = usdsmoke.provenance(str(made.look_layer))
+        (size,) = found.record.style_sizes.values()
+        return size, grids_of(str(made.frames[0]))[1].values
+
+    size, enlarged = colours("unset")
+    assert size > 1
+    np.testing.assert_array_equal(colours("set", f"style.size={size!r}")[1], enlarged)
+    assert not np.array_equal(colours("one", "style.size=1")[1], enlarged)

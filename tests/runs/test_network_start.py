@@ -28,6 +28,7 @@ QUICK = {
     "colour.iterations": [2, 2],
     "optimize.steps": ["colour"],
     "optimize.threads": 1,
+    "style.size": 1.0,
     "optimize.error_budget": False,
     "layer.contact_sheet": 0,
 }

@@ -125,6 +125,7 @@ class RunRecord(JsonRecord):
     results: Mapping[str, str] = field(default_factory=dict)  # content hash by VDB file written
     shaders: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of the material's shaders
     extinction: Mapping[str, Extinction] = field(default_factory=dict)  # by Volume
+    style_sizes: Mapping[str, float] = field(default_factory=dict)  # ``style.size``, by Volume
     # What was measured of each Volume's shot, where files that it was measured on have been written
     # again since; none: a rerun measures it.
     scenes: tuple[Mapping[str, Any], ...] = ()

@@ -34,7 +34,12 @@ from usdsmoke.runs.outputs import (
     stored_half,
 )
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
-from usdsmoke.runs.provenance_record import frame_metadata, keep_record, make_record
+from usdsmoke.runs.provenance_record import (
+    frame_metadata,
+    keep_record,
+    make_record,
+    used_style_size,
+)
 from usdsmoke.runs.run import Run
 from usdsmoke.runs.run_machine import processor_warnings
 from usdsmoke.runs.sheet import write_contact_sheet
@@ -298,8 +303,7 @@ def _smoke_names(volume: VolumePlan) -> list[str]:
 
 def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
     """The extinctions that a run of other frames of the shot would need for the same look."""
-    voxel, size = scene["reference_voxel_size"], volume.config.style.size
-    size = scene.get("style_size", 1.0) if size is None else size
+    voxel, size = scene["reference_voxel_size"], used_style_size(volume, scene)
     return (
         f"<{volume.source.prim_path}>: the opacity was measured on these frames. To make other "
         "frames of the shot alike in another folder, set "

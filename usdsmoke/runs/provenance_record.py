@@ -119,6 +119,10 @@ def make_record(
             volume.source.prim_path: _extinction(scene)
             for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         },
+        style_sizes={
+            volume.source.prim_path: used_style_size(volume, scene)
+            for volume, scene in zip(plan.volumes, run.scenes, strict=True)
+        },
         omitted=tuple(f"{omission.what}: {omission.reason}" for omission in plan.omitted),
         seconds={"stylize": work + coarse, "coarse": coarse, **step_seconds(reports)},
         figures=summarize_figures(reports),
@@ -129,6 +133,12 @@ def make_record(
 def _extinction(scene: Mapping[str, Any]) -> Extinction:
     curve = (scene.get("thicken", 1.0), scene.get("knee", 0.0))
     return Extinction(scene["gamma_w"], scene["gamma_w_shape"], *curve)
+
+
+def used_style_size(volume: VolumePlan, scene: Mapping[str, Any]) -> float:
+    """``style.size`` as it is set or, if it is unset, as it was chosen for a measured scene."""
+    asked = volume.config.style.size
+    return float(scene.get("style_size", 1.0) if asked is None else asked)
 
 
 def _feature_networks(plan: Plan) -> str:

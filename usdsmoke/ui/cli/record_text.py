@@ -56,6 +56,7 @@ def provenance_text(item: "FoundRecord") -> str:
             ("extinction", f"{path}: colour {found.colour:.9g}, shape {found.shape:.9g}")
             for path, found in record.extinction.items()
         ),
+        *(("style size", f"{path}: {size:.9g}") for path, size in record.style_sizes.items()),
         *(("left out", text) for text in record.omitted),
     ]
     return "\n".join(columns(_once([(name, text) for name, text in rows if text])))
