@@ -105,9 +105,9 @@ def test_the_result_is_found_sound_by_every_validator(
 def test_fine_marks_are_enlarged_by_the_size_in_the_record(tmp_path: Path) -> None:
     shot = make_shot(tmp_path, n_frames=1)
     write_raw(shot.stage.parent / "cache/smoke.0001.vdb", raw_grid(ball(0.0)))
-    stripes = np.zeros((56, 56, 3), np.uint8)
-    stripes[::2] = [250, 120, 20]
-    Image.fromarray(stripes).resize((112, 112), Image.Resampling.NEAREST).save(shot.style)
+    light = 0.5 + 0.5 * np.sin(np.linspace(0, 2 * np.pi * 7, 112))  # 2 to 3 voxels wide
+    stripes = np.broadcast_to(light[:, None, None] * [250, 120, 20], (112, 112, 3))
+    Image.fromarray(stripes.astype(np.uint8)).save(shot.style)
 
     def colours(name: str, *settings: str) -> tuple[float, np.ndarray]:
         made = usdsmoke.stylize(shot.stage, shot.style, tmp_path / name, [*QUICK, *settings])

@@ -81,7 +81,7 @@ def make_record(
     plan, config, output = job.plan, job.plan.config, run.output
     reports = list(run.reports.values())
     coarse, work = run.coarse().seconds, sum(window.seconds for window in windows)
-    request = describe_request(job)
+    request, measured = describe_request(job), list(zip(plan.volumes, run.scenes, strict=True))
     return RunRecord(
         format=RECORD_FORMAT,
         run=run.run_id,
@@ -115,14 +115,8 @@ def make_record(
         ),
         results=results,
         shaders=shaders,
-        extinction={
-            volume.source.prim_path: _extinction(scene)
-            for volume, scene in zip(plan.volumes, run.scenes, strict=True)
-        },
-        style_sizes={
-            volume.source.prim_path: used_style_size(volume, scene)
-            for volume, scene in zip(plan.volumes, run.scenes, strict=True)
-        },
+        extinction={volume.source.prim_path: _extinction(scene) for volume, scene in measured},
+        style_sizes={v.source.prim_path: used_style_size(v, scene) for v, scene in measured},
         omitted=tuple(f"{omission.what}: {omission.reason}" for omission in plan.omitted),
         seconds={"stylize": work + coarse, "coarse": coarse, **step_seconds(reports)},
         figures=summarize_figures(reports),
