@@ -309,7 +309,7 @@ def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
         "frames of the shot alike in another folder, set "
         f"optics.gamma={scene['gamma_w'] * voxel:.6g} and "
         f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g}{_curve(scene)}, the gammas per "
-        f"voxel (gamma_w is per stage unit), and style.size={size:.4g}"
+        f"voxel (gamma_w is per stage unit), and style.size={size:.6g}"
     )
 
 
