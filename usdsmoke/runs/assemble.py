@@ -302,7 +302,7 @@ def _smoke_names(volume: VolumePlan) -> list[str]:
 
 
 def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
-    """The extinctions that a run of other frames of the shot would need for the same look."""
+    """What a run of other frames of the shot would have to set for the same look."""
     voxel, size = scene["reference_voxel_size"], used_style_size(volume, scene)
     return (
         f"<{volume.source.prim_path}>: the opacity was measured on these frames. To make other "
