@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import make_style
 from tests.fixtures.usd_fixtures import density_prim, sequence, world, write_text
-from usdsmoke import pipeline
+from usdsmoke import pipeline, provenance
 from usdsmoke.base.errors import OutputExists
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import GridsConfig
@@ -69,6 +70,34 @@ def test_a_strength_from_0_to_1_shows_the_source_first_and_more_in_every_frame(
     for effect in (moved, painted):
         assert effect == sorted(effect)
         assert effect[-1] > 0.01
+
+
+@pytest.mark.usefixtures("quick_grids")
+def test_a_style_that_fades_in_counts_for_the_size_of_the_styles(tmp_path: Path) -> None:
+    (tmp_path / "cache").mkdir()
+    for code in (1, 2):
+        write_raw(tmp_path / f"cache/smoke.{code:04d}.vdb", raw_grid(ball()))
+    for name, wavelength in (("fine", 16), ("wide", 64)):  # 2 and 8 voxels
+        light = 128 + 127 * np.sin(2 * np.pi / wavelength * np.arange(112))
+        pixels = np.broadcast_to(light[:, None, None].astype(np.uint8), (112, 112, 3))
+        Image.fromarray(pixels).save(tmp_path / f"{name}.png")
+    body = f"""
+    def Volume "smoke" (prepend apiSchemas = ["UsdSmokeStyleAPI"])
+    {{
+        asset[] usdSmoke:request:styleImages = [@./fine.png@, @./wide.png@]
+        double[] usdSmoke:request:styleWeights.timeSamples = {{ 1: [1, 0], 2: [0, 1] }}
+        rel field:density = </World/smoke/density>
+        {density_prim(sequence((1, 2)))}
+    }}
+"""
+    stage = write_text(tmp_path / "shot.usda", world(body))
+
+    def size(name: str, **selected: str) -> float:
+        settings = resolve_config({**SETTINGS, "stage": selected})
+        (found,) = provenance(stylize(stage, None, tmp_path / name, settings).look_layer)
+        return found.record.style_sizes["/World/smoke"]
+
+    assert size("fine", frames="1") > size("both") == size("wide", frames="2") == 1
 
 
 def test_each_volume_is_seen_through_the_camera_it_asks_for(tmp_path: Path) -> None:

@@ -80,10 +80,11 @@ def measured_remarks(volumes: Sequence[VolumePlan]) -> list[str]:
 
 
 def measured_on_part(volume: VolumePlan) -> bool:
-    """Whether extinction and picture size are measured on some of a Volume's timeCodes."""
+    """Whether extinction or a size is measured on some of a Volume's timeCodes."""
     optics = volume.config.optics
     is_bent = optics.thicken is None or (optics.thicken > 1 and optics.knee is None)
     is_open = optics.gamma is None or optics.gamma_shape is None or is_bent
+    is_open = is_open or (volume.config.style.size is None and volume.config.style.tiling == 1)
     return is_open and len(volume.frames) < len(volume.source.time_codes)
 
 
@@ -147,7 +148,7 @@ def _part(volume: VolumePlan) -> list[str]:
         return []
     n_all = count_text(len(volume.source.time_codes), "timeCode")
     return [
-        f"extinction and picture size of <{volume.source.prim_path}> are measured on "
+        f"extinction and sizes of <{volume.source.prim_path}> are measured on "
         f"{len(volume.frames)} of {n_all}. Another selection looks slightly different. To keep one "
         "look, make this result longer with the same command and more --frames, or set "
         "optics.gamma, optics.gamma_shape, optics.thicken, optics.knee and style.size"

@@ -55,7 +55,7 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
         scene = measure_scene(
             frames, config.views, config.optics, job.plan.source.up_axis, config.grids.refine
         )
-        size = find_style_size(job.pictures(volume), scene, config)
+        size = find_style_size(job.pictures(volume), scene, _with_all_weights(volume))
         scene = dataclasses.replace(scene, style_size=size)
         if config.colour.target == "albedo" and config.optics.exposure is None:
             from usdsmoke.core.steps.light_share import white_exposure
@@ -65,6 +65,17 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
             scene = dataclasses.replace(scene, stops=white_exposure(frames, config, scene))
         scenes.append(plain_values(dataclasses.asdict(scene)))
     return scenes
+
+
+def _with_all_weights(volume: VolumePlan) -> Config:
+    """The settings, with the greatest weight that each style image has in any frame."""
+    style = volume.config.style
+    found = {frame.source.controls.style_weights or tuple(style.weights) for frame in volume.frames}
+    if len(found) < 2 and () in found:
+        return volume.config
+    n = max(len(weights) for weights in found)
+    greatest = [max(of) for of in zip(*(weights or (1.0,) * n for weights in found), strict=True)]
+    return volume.config.replace(style=style.replace(weights=greatest))
 
 
 def measured_frames(volume: VolumePlan) -> list[FramePlan]:

@@ -26,6 +26,7 @@ from usdsmoke.runs.coarse import measure_scenes, measured_frames
 from usdsmoke.runs.manifests import network_file_name
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback, ignore_progress
+from usdsmoke.runs.provenance_record import used_style_size
 from usdsmoke.usd.stage import StageOrFile
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ def train(
         found = _train(job, reader, (volume, frames, scene), n_iterations, report)
     except KeyboardInterrupt:
         raise Interrupted(f"stopped. {target} is unchanged.") from None
-    publish_file(target, _to_bytes(job, volume, found))
+    publish_file(target, _to_bytes(job, (volume, scene), found))
     trained = found.trained
     return TrainResult(
         target, volume.source.prim_path, found.time_codes, found.held_out, trained.loss,
@@ -173,7 +174,7 @@ def _train_own(
         return {**none, "misfit": found.trained.misfit}
     target = run.folder / network_file_name(number)
     make_folders(target.parent)
-    publish_file(target, _to_bytes(opened.job, volume, found))
+    publish_file(target, _to_bytes(opened.job, (volume, scene), found))
     return {**none, "network": hash_file(target)}
 
 
@@ -186,31 +187,31 @@ def _try_network(opened: OpenRun, volume: VolumePlan, scene: Mapping[str, Any]) 
     from usdsmoke.core.views.scene import Scene
 
     frame = opened.reader.read(volume, frames[len(frames) // 2])
-    good = _known_loss(opened.job, volume)
+    good = _known_loss(opened.job, volume, scene)
     return find_misfit(frame, opened.job.pictures(volume), Scene(**scene), config, good)
 
 
-def _known_loss(job: Job, volume: VolumePlan) -> float:
+def _known_loss(job: Job, volume: VolumePlan, scene: Mapping[str, Any]) -> float:
     """A loss that says without a cold start that a network from a file suits a Volume; 0: none.
 
     It is little more than that of the frame that was held out when the network was trained, if
     losses were measured as the Volume's are.
     """
     notes = read_notes(Path(volume.config.optimize.start_file))
-    if notes.get(_BASIS) != _basis(job, volume):
+    if notes.get(_BASIS) != _basis(job, volume, scene):
         return 0.0
     loss, cold = float(notes["loss"]), float(notes["cold_loss"])
     return min(_ALIKE * loss, cold) if loss <= cold else 0.0
 
 
-def _basis(job: Job, volume: VolumePlan) -> str:
-    """SHA-256 of what losses depend on beside the smoke: the styles, and the settings of pictures
-    and losses."""
+def _basis(job: Job, volume: VolumePlan, scene: Mapping[str, Any]) -> str:
+    """SHA-256 of what losses depend on beside the smoke: the styles and their size, and the
+    settings of pictures and losses."""
     config = volume.config
     settings = config.model_dump(include=set(_OF_LOSSES))
     chosen = {"refine": config.grids.refine, "target": config.colour.target, **settings}
     styles = [job.styles[place].sha256 for place in volume.styles]
-    return hash_values([__version__, styles, chosen])
+    return hash_values([__version__, styles, used_style_size(volume, scene), chosen])
 
 
 def _train(
@@ -242,9 +243,11 @@ def _choose(frames: Sequence[FramePlan]) -> Sequence[FramePlan]:
     return [*(frame for frame in spread if frame is not held_out), held_out]
 
 
-def _to_bytes(job: Job, volume: VolumePlan, found: "TrainedOnFrames") -> bytes:
+def _to_bytes(
+    job: Job, of: tuple[VolumePlan, Mapping[str, Any]], found: "TrainedOnFrames"
+) -> bytes:
     """The file of a network, with what people want to know of it."""
-    trained = found.trained
+    trained, (volume, scene) = found.trained, of
     notes = {
         "version": __version__,
         "styles": ", ".join(job.styles[place].name for place in volume.styles),
@@ -252,6 +255,6 @@ def _to_bytes(job: Job, volume: VolumePlan, found: "TrainedOnFrames") -> bytes:
         "loss": f"{trained.loss:.6g}",
         "cold_loss": f"{trained.cold_loss:.6g}",
         "iterations": str(trained.n_iterations),
-        _BASIS: _basis(job, volume),
+        _BASIS: _basis(job, volume, scene),
     }
     return trained.generator.to_bytes(notes)

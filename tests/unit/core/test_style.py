@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.fixtures.smoke_fixtures import random_style
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
+from usdsmoke.base.presets import preset_file
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import StyleConfig
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luma
@@ -19,7 +20,7 @@ from usdsmoke.core.style.style_image import (
     mean_wavelength,
     scale_style,
 )
-from usdsmoke.core.views.scene import Scene
+from usdsmoke.core.views.scene import Scene, measure_scene
 
 LIKE = torch.zeros(())
 
@@ -126,8 +127,23 @@ def test_marks_are_enlarged_to_what_voxels_hold_and_not_further(wavelength, pixe
     assert size == wanted
 
 
-def test_noise_at_any_size_gets_one_of_the_sizes():
-    assert find_size(random_style(200, 200), 60) in SIZES
+def test_more_voxels_need_smaller_sizes_step_by_step():
+    style = (stripes(2.6) + stripes(17.0)) / 2  # the wide ones do not hide the fine ones
+    steps = [SIZES.index(find_size(style, side)) for side in range(80, 150)]
+    assert steps[0] >= 2 and steps[-1] == 0
+    assert set(np.diff(steps)) == {0, -1}
+
+
+def test_a_style_as_fine_at_every_size_keeps_its_size():
+    pixels = np.random.default_rng(0).random((1024, 1024, 1), dtype=np.float32)
+    noise = np.broadcast_to(pixels, (1024, 1024, 3))
+    assert {find_size(noise, side) for side in (60, 100, 200)} == {1.0}
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 1e-6, 0.005])
+def test_a_flat_style_keeps_its_size(amplitude):
+    style = 0.5 + amplitude * (stripes(2.6) - 0.5)
+    assert find_size(style, 96) == 1 < find_size(stripes(2.6), 96)
 
 
 def shot_size(styles: list[np.ndarray], changes: dict, **scene) -> float:
@@ -149,15 +165,20 @@ def test_the_image_that_needs_least_decides_and_one_without_weight_does_not_coun
 
 
 def test_all_presets_see_marks_of_the_same_size():
-    fine, config = [stripes(5.2)], resolve_config({})
-    whole = Scene(1, 1, 1, "Y", 1, 96)
-    coarse = Scene(1, 1, 2, "Y", 1, 48)  # pictures of half the size, as of a draft
-    refined = Scene(1, 1, 0.5, "Y", 1, 192)
-    sizes = [find_style_size(fine, scene, config) for scene in (whole, coarse)]
-    assert sizes[0] == sizes[1]
-    finer = config.replace(grids=config.grids.replace(refine=2))
-    assert (
-        find_style_size([stripes(2.6)], refined, finer)
-        == 1
-        < find_style_size([stripes(2.6)], whole, config)
-    )
+    frame, found = frame_of(np.ones((150, 16, 16), np.float32)), []
+    for name in ("draft", "daily", "final"):
+        config = resolve_config(preset_file(name))
+        scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+        found.append((scene.image_size, find_style_size([stripes(1.8)], scene, config)))
+    images, sizes = zip(*found, strict=True)
+    assert len(set(images)) > 1 and len(set(sizes)) == 1 and sizes[0] > 1
+
+
+def test_finer_voxels_need_less():
+    scenes = {}
+    for refine in (1, 2):
+        config = resolve_config({"grids": {"refine": refine}})
+        frame = frame_of(puff(100))
+        scene = measure_scene([frame], config.views, config.optics, "Y", refine)
+        scenes[refine] = find_style_size([stripes(2.6)], scene, config)
+    assert scenes[2] < scenes[1]

@@ -1,5 +1,7 @@
 """The style image at the scale of the rendered picture, its grey levels and its colour axes."""
 
+import math
+
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -10,6 +12,8 @@ from usdsmoke.core.smoke.srgb import luma
 
 LEAST_WAVELENGTH = 3.4  # voxels; finer marks are mottle, as no two views agree on them
 SIZES = tuple(2 ** (n / 4) for n in range(7))  # that an unset ``style.size`` is one of
+LEAST_GAIN = 1.05  # times the wavelength at 1 that a size has to bring, where none brings enough
+FLAT = 0.01  # deviation of the luminance below which a style has no marks
 SMALLEST = 16  # pixels; smaller styles are enlarged to this, or filters of 7 pixels see only border
 
 
@@ -42,36 +46,39 @@ def scale_style(style: np.ndarray, longer_side: float, config: StyleConfig, like
 def find_size(style: np.ndarray, longer_side: float) -> float:
     """The least of ``SIZES`` with which the style's marks are wide enough for voxels.
 
-    Of a style that has fine marks at any size, the one with the widest.
+    Of a style that has fine marks at any size, the one with the widest, or 1 if that hardly helps.
 
     Args:
         style: [H W 3], display-encoded, in [0, 1].
         longer_side: of the rendered picture, in voxels.
     """
-    found = 1.0, 0.0
+    found = list[float]()
     for size in SIZES:
-        scaled = scale_style(style, longer_side, StyleConfig(size=size), torch.zeros(()))
-        wavelength = mean_wavelength(scaled)
-        if wavelength >= LEAST_WAVELENGTH:
+        # float64: rounding is no mark of a flat style
+        like = torch.zeros((), dtype=torch.float64)
+        scaled = scale_style(style, longer_side, StyleConfig(size=size), like)
+        found.append(mean_wavelength(scaled))
+        if found[-1] >= LEAST_WAVELENGTH:
             return size
-        found = max(found, (size, wavelength), key=lambda pair: pair[1])
-    return found[0]
+    widest = max(found)
+    return SIZES[found.index(widest)] if widest >= LEAST_GAIN * found[0] else SIZES[0]
 
 
 def mean_wavelength(style: Tensor) -> float:
-    """Of the slopes of an image's luminance [H W 3], in pixels; infinite without slopes.
+    """Of the slopes of an image's luminance [H W 3], in pixels; infinite for a flat image.
 
     1 over the mean spatial frequency, which counts by the power of the slopes. White noise has 2.1.
     """
     light = luma(style)
+    if light.std(correction=0) < FLAT:
+        return math.inf
     light = light - light.mean()
     for axis, n in enumerate(light.shape):  # borders of the image are no marks
         light = light * torch.hann_window(n, periodic=False).to(light).unsqueeze(1 - axis)
     rows, columns = (torch.fft.fftfreq(n).to(light) for n in light.shape)
     squares = rows[:, None].square() + columns.square()
     slopes = torch.fft.fft2(light).abs().square() * squares
-    along = float((slopes * squares.sqrt()).sum())
-    return float(slopes.sum()) / along if along > 0 else float("inf")
+    return float(slopes.sum() / (slopes * squares.sqrt()).sum())
 
 
 def adjust_tones(style: np.ndarray, config: StyleConfig) -> np.ndarray:

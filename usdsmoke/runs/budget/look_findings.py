@@ -56,7 +56,7 @@ def colour_remedy(config: Config, report: FrameReport) -> tuple[str, str]:
     setting, usual = length_of("colour", config), Config().losses
     remedy = f"raise {setting}"
     if _is_done(report):  # more iterations do not help: motifs that fill more pixels may
-        setting, remedy = "style.size", "raise style.size"
+        setting, remedy = "style.size", "raise style.size above what the record has"
     if is_nearly_black(report):
         setting, remedy = "", "brighten the style image"
     if raised := [n for n in usual.BESIDE_STYLE if getattr(config.losses, n) > getattr(usual, n)]:

@@ -83,7 +83,7 @@ PIXEL_FILTER = ErrorRow(
     of_frame=lambda report: report.errors.pixel_filter,
     why_absent=lambda volume: volume.no_estimates,
     without=_NO_FRAME,
-    advice="set a larger style.size: strokes are as fine as the pixels",
+    advice="set a larger style.size than the record has: strokes are as fine as the pixels",
     setting="style.size",
 )
 TRANSPORT = ErrorRow(
