@@ -1,5 +1,7 @@
-"""Colours of voxels and of those around them: what is unknown, mixed hues, detail."""
+"""Colours of voxels and of those around them: what is unknown, mixed hues, detail, speckle."""
 
+import itertools
+import math
 from functools import cached_property, partial
 
 import torch
@@ -103,6 +105,32 @@ class Surroundings:
         total = summed[:-1, -1:]
         mean = summed[:-1, :-1] / total.clamp_min(torch.finfo(total.dtype).tiny)
         return torch.where(total > 0, mean, values)
+
+    def outlying(self, values: Tensor, rows: Tensor) -> Tensor:
+        """How far some voxels lie above or below all but one of the six beside, [M]; 0 inside.
+
+        A voxel that is not there counts as the voxel itself, so those of a slab do not outlie.
+
+        Args:
+            values: of all voxels, [N].
+            rows: of those that are asked for, [M].
+        """
+        found = torch.empty_like(values[: len(rows)])
+
+        def look(part: slice) -> None:
+            here = rows[part]
+            own = values[here]
+            least, most = torch.full_like(own, math.inf), torch.full_like(own, -math.inf)
+            low, high = least, most  # the second ones
+            for beside in itertools.chain.from_iterable(self._beside):
+                at = beside[here]
+                value = torch.where(at < len(values), values[at.clamp_max(len(values) - 1)], own)
+                low, high = low.minimum(least.maximum(value)), high.maximum(most.minimum(value))
+                least, most = least.minimum(value), most.maximum(value)
+            torch.sub(own, own.clamp(low, high), out=found[part])
+
+        share_rows(look, len(rows), SHARED_ROWS, values.device)
+        return found
 
     @cached_property
     def _beside(self) -> list[tuple[Tensor, Tensor]]:

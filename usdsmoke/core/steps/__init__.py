@@ -6,6 +6,7 @@
 - ``motion``: what a potential moves, on blocks of voxels
 - ``move``: the density moved by that displacement
 - ``colour``: the colour step: colours of the voxels
+- ``colour_rules``: what these are held to: hues of the style, detail, no speckle
 - ``sharpen``: contrast between neighbouring voxels, raised by as much as the loss falls
 - ``behind``: its iterations behind what a network has painted
 - ``light_share``: what finished pictures show of lamps and of the style

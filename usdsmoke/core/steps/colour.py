@@ -5,19 +5,14 @@ the albedo that weighs the light in them (``colour.target``), in [0, 1]. The den
 Octaves go coarse to fine; a finer one starts from the interpolated colours of the one before. The
 first one starts from white noise, which density multiplies in the picture, as the paper does.
 
-All along, colours are brought to hues that the style has: pictures hardly hold those of dark smoke,
-nor those that cancel in them. Towards the end of an octave hues are blended with those of the
-voxels beside, because views leave each other speckle; the last iterations mend what the style loses
-by that. A warm frame gets such colours from its neighbour, and mixed anew in each frame they would
-blur: only the hues of the change are blended. Brightness is sharpened then, as far as the loss
-falls: what differs from voxel to voxel is found last. At the end, voxels that hardly any light of
-the pictures comes from take the colours of the smoke around them: what no view sees would keep the
-noise that it starts with.
+Colours keep ``colour_rules`` all along. At the end, voxels that hardly any light of the pictures
+comes from take the colours of the smoke around them: what no view sees would keep the noise that it
+starts with.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import count
 
@@ -28,13 +23,12 @@ from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colour
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import SHARED_ROWS, LazyList, share_rows
 from usdsmoke.core.smoke.noise import white_noise
-from usdsmoke.core.smoke.spread import Surroundings, blend_chroma, luma_detail, spread_colours
-from usdsmoke.core.smoke.srgb import BRIGHTEST, encode_srgb, luma
+from usdsmoke.core.smoke.spread import spread_colours
+from usdsmoke.core.smoke.srgb import encode_srgb, luma
+from usdsmoke.core.steps.colour_rules import ColourRules, find_rules, limit_of, opacity_alone
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
-from usdsmoke.core.steps.sharpen import sharpened
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
-from usdsmoke.core.style.hues import Hues
 from usdsmoke.core.style.losses import PictureLoss
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.optics import opacity
@@ -49,38 +43,9 @@ FAINT = 2e-4  # share of a pixel's opacity up to which it leaves voxels out: 0.5
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
 JUDGING = 3  # iterations whose pictures tell how much detail to add
-HUES_EVERY = 4  # iterations: the look-up takes a tenth as long as one
+HELD_EVERY = 4  # iterations; each look-up takes about a tenth as long as one
 
 Look = Callable[[Sequence[ColourView], Tensor], None]
-
-
-@dataclass(frozen=True)
-class ColourRules:
-    """What colours are held to during an octave."""
-
-    #: the largest display-encoded value
-    limit: float = 1.0
-    #: what is done to all colours [N 3] before the last iterations
-    blended: Callable[[Tensor], Tensor] | None = None
-    #: of colours [N 3] the detail [N 1] that is raised then
-    detail: Callable[[Tensor], Tensor] | None = None
-    #: the hues that colours are brought to again and again
-    style: Hues | None = None
-
-    def in_style(self, colours: Tensor, begun: Tensor | None) -> Tensor:
-        """Colours [N 3] with hues of the style; see ``Hues.nearest``."""
-        if self.style is None:
-            return colours
-        return self.style.nearest(colours, begun).clamp(0, self.limit)
-
-    def changed(self, colours: Tensor, loss: Callable[[Tensor], float] | None) -> Tensor:
-        """All colours [N 3] before the last iterations: blended, and sharpened by a loss if there
-        is one."""
-        assert self.blended is not None
-        colours = self.blended(colours).clamp(0, self.limit)
-        if self.detail is None or loss is None:
-            return colours
-        return sharpened(colours, self.detail(colours), self.limit, loss)
 
 
 def run_colour_step(
@@ -128,7 +93,7 @@ def run_colour_step(
         begun = _colours_on(here, before, colours, problem)
         descent = Descent(rate, n_iterations, config.optimize.tolerance, epsilon)
         told = None if watch is None else partial(watch, number)
-        rules = _rules(problem, here, begun if warm else None)
+        rules = find_rules(problem, here, begun if warm else None, octave is smoke)
         loss, background = problem.targets.at(factor), problem.targets.background
         colours, end = optimize_colours(pool, begun, loss, background, descent, told, rules)
         before = here
@@ -172,6 +137,7 @@ def optimize_colours(
     pool, shown = _in_sight(pool, descent.n_iterations, len(colours))
     found = colours.detach().clone(memory_format=torch.contiguous_format)
     begun, rules, turn = found[shown], rules or ColourRules(), count()
+    rows, light = shown.nonzero().squeeze(1), luma(found)
     unknown = begun.clone().requires_grad_(True)
     # epsilon is in units of the mean over all voxels
     epsilon = descent.epsilon * math.sqrt(len(unknown) / max(len(colours), 1))
@@ -183,8 +149,8 @@ def optimize_colours(
 
     def clip() -> None:
         share_rows(clip_part, len(unknown), SHARED_ROWS, unknown.device)
-        if rules.style is not None and next(turn) % HUES_EVERY == 0:
-            rules.style.bring(unknown, begun, rules.limit)
+        if next(turn) % HELD_EVERY == 0:
+            rules.hold(unknown, begun, rows, light)
 
     def judged(colours: Tensor) -> float:
         here = colours[shown]
@@ -307,27 +273,6 @@ def _completed(
     return spread_colours(painted, colours, seen**2 / (seen**2 + DIM**2))
 
 
-def limit_of(problem: StepProblem) -> float:
-    """The largest display-encoded value of a colour: ``BRIGHTEST``, or 1 for an albedo."""
-    return 1.0 if problem.config.colour.target == "albedo" else BRIGHTEST
-
-
-def _rules(problem: StepProblem, painted: ActiveSmoke, begun: Tensor | None) -> ColourRules:
-    """The rules of an octave; ``begun`` are the colours of a start that is nearly right."""
-    around = Surroundings(painted, _alone(painted, problem.scene))
-    blended, detail = partial(_blended, around, begun), partial(luma_detail, around)
-    # what scatters light has the hues of its albedo
-    hues = problem.targets.hues if problem.lighting is None else None
-    return ColourRules(limit_of(problem), blended, detail, hues)
-
-
-def _blended(around: Surroundings, begun: Tensor | None, colours: Tensor) -> Tensor:
-    """Colours [N 3] with blended hues; where they begin with a neighbour's, of the change alone."""
-    if begun is None:
-        return blend_chroma(around, colours)
-    return begun + blend_chroma(around, colours - begun)
-
-
 def _seen(
     views: Sequence[ColourView],
     painted: ActiveSmoke,
@@ -342,14 +287,9 @@ def _seen(
     light = _reaching(views[0])
     for view in views[1:]:
         light = torch.maximum(light, _reaching(view))
-    alone = _alone(painted, scene) * (painted.voxel_size / (factor * scene.pixel_size)) ** 2
+    alone = opacity_alone(painted, scene) * (painted.voxel_size / (factor * scene.pixel_size)) ** 2
     alone = alone if share is None else alone * share
     return light / alone.clamp_min(torch.finfo(light.dtype).tiny)
-
-
-def _alone(painted: ActiveSmoke, scene: Scene) -> Tensor:
-    """The opacity of each voxel by itself, [N]."""
-    return opacity(painted.density * (scene.gamma_w * painted.voxel_volume / painted.voxel_size**2))
 
 
 def _reaching(view: ColourView) -> Tensor:
