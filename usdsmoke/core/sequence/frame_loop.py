@@ -228,7 +228,9 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
             colours, ends, n_views = refine_painted(problem, iterations, start, watch, compare)
         else:
             is_warm = start is not None  # also from the coarse step, as in the shape step
-            colours, ends = run_colour_step(problem, iterations, start, watch, is_warm, compare)
+            colours, ends = run_colour_step(
+                problem, iterations, start, watch, is_warm, compare, paint is not None
+            )
         light, look = picture_reports(problem, painted, colours)
         started += 0.0 if unseen is None else unseen.seconds
         ended = step_report("colour", ends, frame, started, n_views)

@@ -55,6 +55,7 @@ def run_colour_step(
     watch: Callable[[int, Minimum], None] | None = None,
     warm: bool = False,
     look: Look | None = None,
+    carried: bool = False,
 ) -> tuple[Tensor, list[Minimum]]:
     """Colours of one frame, coarse to fine.
 
@@ -68,6 +69,7 @@ def run_colour_step(
         watch: called with the octave and the optimiser's state after every iteration.
         warm: the start is nearly right, such as a neighbour's result: ``colour.warm_rate`` of the
             learning rate, and steps that follow the gradient's size, see ``WARM_EPSILON``.
+        carried: the start is a neighbour's, so single voxels that stand out are gone from it.
         look: called with the views of the octave of the smoke's own voxels, and its colours [N 3].
 
     Returns:
@@ -93,7 +95,8 @@ def run_colour_step(
         begun = _colours_on(here, before, colours, problem)
         descent = Descent(rate, n_iterations, config.optimize.tolerance, epsilon)
         told = None if watch is None else partial(watch, number)
-        rules = find_rules(problem, here, begun if warm else None, octave is smoke)
+        has_speckle = octave is smoke and not carried
+        rules = find_rules(problem, here, begun if warm else None, has_speckle)
         loss, background = problem.targets.at(factor), problem.targets.background
         colours, end = optimize_colours(pool, begun, loss, background, descent, told, rules)
         before = here

@@ -7,9 +7,10 @@ by that. A warm frame gets such colours from its neighbour, and mixed anew in ea
 blur: only the hues of the change are blended. Brightness is sharpened then, as far as the loss
 falls: what differs from voxel to voxel is found last.
 
-In the finest octave, a voxel is not brighter than all but one of the six beside it, nor darker. A
-single voxel is what the views of the pool disagree about: they fit each its own, and other views
-see grain. In coarser octaves it may become a mark of the style.
+In the finest octave, a voxel is not brighter than all but one of the six beside it, nor darker. The
+views of the pool disagree about single voxels: they fit each its own, and other views see grain. In
+coarser octaves a single voxel may become a mark of the style. Colours that are carried from another
+frame have lost it already.
 """
 
 from collections.abc import Callable
@@ -80,14 +81,14 @@ class ColourRules:
 
 
 def find_rules(
-    problem: StepProblem, painted: ActiveSmoke, begun: Tensor | None, is_finest: bool
+    problem: StepProblem, painted: ActiveSmoke, begun: Tensor | None, has_speckle: bool
 ) -> ColourRules:
     """The rules of an octave.
 
     Args:
         painted: its voxels that are painted.
         begun: the colours of a start that is nearly right.
-        is_finest: its voxels are what is written.
+        has_speckle: its voxels are what is written, and do not begin with a neighbour's colours.
     """
     around = Surroundings(painted, opacity_alone(painted, problem.scene))
     blended, detail = partial(_blended, around, begun), partial(luma_detail, around)
@@ -95,7 +96,7 @@ def find_rules(
     hues = problem.targets.hues if problem.lighting is None else None
     # a single view has nothing to disagree with
     agrees = has_one_view(problem.config.views, problem.smoke.thin_axis is not None)
-    speckle = around.outlying if is_finest and not agrees else None
+    speckle = around.outlying if has_speckle and not agrees else None
     return ColourRules(limit_of(problem), blended, detail, hues, speckle)
 
 
