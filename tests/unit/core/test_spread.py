@@ -137,3 +137,56 @@ def test_chroma_is_that_of_the_denser_smoke():
     assert torch.allclose(found[1], grey[1] + (12 * chroma[1] + chroma[2]) / 13, atol=1e-6)
     assert torch.allclose(found[2], grey[2] + (3 * chroma[1] + 4 * chroma[2]) / 7, atol=1e-6)
     assert torch.allclose(blend_chroma(Surroundings(smoke, torch.zeros(3)), colours), colours)
+
+
+def outliers(values: np.ndarray, density: np.ndarray | None = None) -> np.ndarray:
+    """How far the values of a box of voxels outlie; 0 where there is no smoke."""
+    smoke = smoke_of(np.ones(values.shape) if density is None else density)
+    place = tuple(smoke.ijk.T.numpy())
+    lights = torch.as_tensor(values[place], dtype=torch.float32)
+    around = Surroundings(smoke, torch.ones(len(lights)))
+    found = np.zeros(values.shape)
+    found[place] = around.outlying(lights, torch.arange(len(lights))).numpy()
+    return found
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_voxel_outlies_all_but_one_of_those_beside_it(sign):
+    values = np.zeros((7, 7, 7))
+    values[3, 3, 3] = sign * 0.5
+    wanted = values.copy()
+    np.testing.assert_allclose(outliers(values), wanted, atol=1e-6)
+    values[3, 3, 4] = sign * 0.5  # two together: each is one that is let off
+    np.testing.assert_allclose(outliers(values)[3, 3, 3:5], sign * 0.5, atol=1e-6)
+    values[3, 4, 3] = sign * 0.4  # of a bend of three, the corner outlies none of two
+    assert outliers(values)[3, 3, 3] == pytest.approx(sign * 0.1, abs=1e-6)
+
+
+def test_slopes_edges_and_lines_do_not_outlie():
+    i, j, k = np.indices((9, 9, 9))
+    line = ((i == 4) & (j == 4)).astype(float)
+    for values in (0.1 * i - 0.03 * k, (i + j > 8).astype(float), (i > 4).astype(float), line):
+        inside = outliers(values)[1:-1, 1:-1, 1:-1]
+        np.testing.assert_allclose(inside, 0, atol=1e-6)
+
+
+def test_voxels_of_a_slab_and_alone_do_not_outlie():
+    noise = np.random.default_rng(0).random((12, 9, 1))
+    np.testing.assert_array_equal(outliers(noise), 0)
+    assert np.abs(outliers(np.repeat(noise, 3, axis=2))).max() == 0  # alike along the third axis
+    apart = np.zeros((5, 5, 5))
+    apart[::2, ::2, ::2] = 1
+    np.testing.assert_array_equal(outliers(np.random.default_rng(1).random((5, 5, 5)), apart), 0)
+
+
+def test_what_outlies_is_that_of_all_voxels_for_some_rows_too():
+    smoke = smoke_of(np.random.default_rng(2).random((9, 10, 11)) > 0.05)
+    lights = torch.rand(len(smoke.ijk), generator=torch.Generator().manual_seed(0))
+    around = Surroundings(smoke, torch.ones(len(lights)))
+    rows = torch.arange(3, len(lights), 7)
+    every = around.outlying(lights, torch.arange(len(lights)))
+    assert torch.equal(around.outlying(lights, rows), every[rows])
+    assert float((every != 0).float().mean()) > 0.1
+    # once taken away, hardly any is left: voxels beside each other are levelled at once
+    left = around.outlying(lights - every, torch.arange(len(lights)))
+    assert float(left.abs().mean()) < 0.2 * float(every.abs().mean())
