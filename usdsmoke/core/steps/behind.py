@@ -41,6 +41,6 @@ def refine_painted(
         n_views = network_views(config.views, n)
         own = replace(problem, config=config.replace(views=config.views.replace(pool=n_views)))
         octave = [n if place == number else 0 for place in range(len(iterations))]
-        painted, found = run_colour_step(own, octave, painted, watch, True, look)
+        painted, found = run_colour_step(own, octave, painted, watch, True, look, carried=True)
         ends += found
     return painted, ends, n_views

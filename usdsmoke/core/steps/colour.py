@@ -69,7 +69,7 @@ def run_colour_step(
         watch: called with the octave and the optimiser's state after every iteration.
         warm: the start is nearly right, such as a neighbour's result: ``colour.warm_rate`` of the
             learning rate, and steps that follow the gradient's size, see ``WARM_EPSILON``.
-        carried: the start is a neighbour's, so single voxels that stand out are gone from it.
+        carried: no single voxels stand out in the start, which is a neighbour's or a network's.
         look: called with the views of the octave of the smoke's own voxels, and its colours [N 3].
 
     Returns:

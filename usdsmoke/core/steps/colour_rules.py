@@ -10,7 +10,7 @@ falls: what differs from voxel to voxel is found last.
 In the finest octave, a voxel is not brighter than all but one of the six beside it, nor darker. The
 views of the pool disagree about single voxels: they fit each its own, and other views see grain. In
 coarser octaves a single voxel may become a mark of the style. Colours that are carried from another
-frame have lost it already.
+frame, or painted by a network, begin without grain, and are left free.
 """
 
 from collections.abc import Callable
@@ -88,7 +88,7 @@ def find_rules(
     Args:
         painted: its voxels that are painted.
         begun: the colours of a start that is nearly right.
-        has_speckle: its voxels are what is written, and do not begin with a neighbour's colours.
+        has_speckle: its voxels are what is written, and may stand out.
     """
     around = Surroundings(painted, opacity_alone(painted, problem.scene))
     blended, detail = partial(_blended, around, begun), partial(luma_detail, around)
