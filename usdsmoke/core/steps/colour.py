@@ -19,6 +19,7 @@ from itertools import count
 import torch
 from torch import Tensor
 
+from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colours
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import SHARED_ROWS, LazyList, share_rows
@@ -73,15 +74,12 @@ def run_colour_step(
         look: called with the views of the octave of the smoke's own voxels, and its colours [N 3].
 
     Returns:
-        Display-encoded colours [N 3] of the painted voxels, in [0, ``limit_of``], in the smoke's
-        order, and how each octave ended.
+        Colours [N 3] of the painted voxels, in [0, ``limit_of``], and how each octave ended.
     """
     smoke, mask, scene, config = problem.smoke, problem.mask, problem.scene, problem.config
-    painted = painted_part(problem)
-    epsilon = WARM_EPSILON if warm else Adam.epsilon
-    rate = config.colour.learning_rate * (config.colour.warm_rate if warm else 1.0)
     start = None if start is None else start.clamp(0, limit_of(problem))
-    colours, before, ends = start, painted, list[Minimum]()
+    painted, colours, ends = painted_part(problem), start, list[Minimum]()
+    before = painted
     # blocks of voxels: one opaque voxel would make all of its coarse one opaque
     limited = bounded(smoke)
     octaves = octaves_to_do(limited, iterations, scene.pixel_size)
@@ -93,11 +91,11 @@ def run_colour_step(
             continue
         pool = colour_pool(replace(problem, smoke=octave), factor, config.optimize.seed + number)
         begun = _colours_on(here, before, colours, problem)
-        descent = Descent(rate, n_iterations, config.optimize.tolerance, epsilon)
         told = None if watch is None else partial(watch, number)
-        has_speckle = octave is smoke and not carried
-        rules = find_rules(problem, here, begun if warm else None, has_speckle)
+        known = begun if warm else None
+        rules = find_rules(problem, here, known, octave is smoke and not carried)
         loss, background = problem.targets.at(factor), problem.targets.background
+        descent = _descent(config, n_iterations, warm)
         colours, end = optimize_colours(pool, begun, loss, background, descent, told, rules)
         before = here
         if end is None:
@@ -105,12 +103,19 @@ def run_colour_step(
         ends.append(end)
         if not warm:
             colours = _completed(pool.drawn(end.iteration + 1), here, colours, share, scene, factor)
-        colours = rules.in_style(colours, begun if warm else None)
+        colours = rules.in_style(colours, known)
         if look is not None and octave is smoke:
             look(pool.drawn(end.iteration + 1), colours)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
         return _changed(painted, start, before, colours).clamp(0, limit_of(problem)), ends
     return _colours_on(painted, before, colours, problem), ends
+
+
+def _descent(config: Config, n_iterations: int, warm: bool) -> Descent:
+    """The descent of an octave."""
+    rate = config.colour.learning_rate * (config.colour.warm_rate if warm else 1.0)
+    epsilon = WARM_EPSILON if warm else Adam.epsilon
+    return Descent(rate, n_iterations, config.optimize.tolerance, epsilon)
 
 
 def optimize_colours(
@@ -144,7 +149,6 @@ def optimize_colours(
     unknown = begun.clone().requires_grad_(True)
     # epsilon is in units of the mean over all voxels
     epsilon = descent.epsilon * math.sqrt(len(unknown) / max(len(colours), 1))
-
     objective = partial(pictures_loss, pool, unknown, loss, background)
 
     def clip_part(part: slice) -> None:
@@ -164,14 +168,14 @@ def optimize_colours(
         found.copy_(rules.changed(found, judged if n_after else None))
         unknown.copy_(found[shown])
 
-    state, descent = None, replace(descent, passage=pool.passage, epsilon=epsilon)
+    descent = replace(descent, passage=pool.passage, epsilon=epsilon)
     if rules.blended is None:
         states = minimize(objective, [unknown], descent, clip)
     else:
         states = minimize_and_mend(objective, [unknown], descent, change, clip)
+    state, watch = None, watch or (lambda state: None)
     for state in states:
-        if watch is not None:
-            watch(state)
+        watch(state)
     found[shown] = unknown.detach()
     return found, state
 
