@@ -197,6 +197,11 @@ class StyleConfig(Section):
         [], "one weight for each style image; only their ratios matter; empty: equal weights",
         request="styleWeights", control="style_weights")
 
+    @property
+    def is_size_open(self) -> bool:
+        """Whether ``size`` is chosen for the smoke: not if it is set, nor for a tiled image."""
+        return self.size is None and self.tiling == 1
+
 
 class FeaturesConfig(Section):
     """The network whose features are compared."""

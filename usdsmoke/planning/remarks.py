@@ -84,7 +84,7 @@ def measured_on_part(volume: VolumePlan) -> bool:
     optics = volume.config.optics
     is_bent = optics.thicken is None or (optics.thicken > 1 and optics.knee is None)
     is_open = optics.gamma is None or optics.gamma_shape is None or is_bent
-    is_open = is_open or (volume.config.style.size is None and volume.config.style.tiling == 1)
+    is_open = is_open or volume.config.style.is_size_open
     return is_open and len(volume.frames) < len(volume.source.time_codes)
 
 

@@ -70,11 +70,9 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
 def _with_all_weights(volume: VolumePlan) -> Config:
     """The settings, with the greatest weight that each style image has in any frame."""
     style = volume.config.style
-    found = {frame.source.controls.style_weights or tuple(style.weights) for frame in volume.frames}
-    if len(found) < 2 and () in found:
-        return volume.config
-    n = max(len(weights) for weights in found)
-    greatest = [max(of) for of in zip(*(weights or (1.0,) * n for weights in found), strict=True)]
+    own = tuple(style.weights) or (1.0,) * len(volume.styles)
+    found = {frame.source.controls.style_weights or own for frame in volume.frames}
+    greatest = [max(weights) for weights in zip(*found, strict=True)]
     return volume.config.replace(style=style.replace(weights=greatest))
 
 

@@ -82,8 +82,9 @@ def check_final(
     from usdsmoke.pictures.preview_volumes import find_smoke
 
     started = time.perf_counter()
-    config = resolve_config(settings).with_values({"views.image_size": SIZE})
-    config = config.with_values({"grids.refine": 1})  # the look's voxels are refined already
+    # the look's voxels are refined already
+    drawn_as = {"views.image_size": SIZE, "grids.refine": 1}
+    config = resolve_config(settings).with_values(drawn_as)
     ours = config.stage
     selected = StageConfig(prims=ours.prims, frames=ours.frames, density=ours.density)
     smoke = replace(find_smoke(open_stage(stage), selected), passed_over=())

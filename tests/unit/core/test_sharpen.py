@@ -7,15 +7,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.fixtures.smoke_fixtures import puff, random_style, smoke_of
-from usdsmoke.base.resolve import resolve_config
+from tests.fixtures.smoke_fixtures import random_style, smoke_of
+from tests.fixtures.stylize_fixtures import puff_problem, unseen_loss
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.spread import Surroundings, luma_detail
-from usdsmoke.core.steps import colour, sharpen
+from usdsmoke.core.steps import sharpen
+from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.sharpen import MOST, lowest, sharpened
-from usdsmoke.core.steps.targets import StepProblem, make_targets
-from usdsmoke.core.views.scene import Scene
 
 START = torch.full((50, 3), 0.5)
 DETAIL = torch.linspace(-0.3, 0.3, 50)[:, None]
@@ -100,22 +99,9 @@ def test_sharpened_colours_stay_in_range_and_the_given_ones_as_they_are():
 def judged(monkeypatch, most: float, n_iterations: int = 20) -> tuple[Tensor, float]:
     """Colours after few iterations, and their loss in views that these have not had."""
     monkeypatch.setattr(sharpen, "MOST", most)
-    sections = {
-        "views": {"pool": 4, "image_size": 24},
-        "optimize": {"threads": 1, "tolerance": 0.0},
-    }
-    config, smoke = resolve_config(sections), smoke_of(puff(24))
-    scene = Scene(0.6, 0.3, 1.0, "Y", 1.0, 24)
-    targets = make_targets([random_style(32, 40, 0)], scene, config, torch.device("cpu"))
-    problem = StepProblem(smoke, targets, scene, config)
-    colours, _ = colour.run_colour_step(problem, [0, 0, n_iterations])
-    pool = colour.colour_pool(problem, 1, 99)
-    with torch.no_grad():
-        unseen = [
-            colour.pictures_loss(pool, colours, targets.at(1), targets.background, n)
-            for n in range(4)
-        ]
-    return colours, float(sum(unseen))
+    problem = puff_problem(random_style(32, 40, 0))
+    colours, _ = run_colour_step(problem, [0, 0, n_iterations])
+    return colours, unseen_loss(problem, colours)
 
 
 def test_the_colour_step_is_nearer_to_a_style_of_pixels_with_it(monkeypatch):

@@ -154,11 +154,10 @@ def outliers(values: np.ndarray, density: np.ndarray | None = None) -> np.ndarra
 def test_a_voxel_outlies_all_but_one_of_those_beside_it(sign):
     values = np.zeros((7, 7, 7))
     values[3, 3, 3] = sign * 0.5
-    wanted = values.copy()
-    np.testing.assert_allclose(outliers(values), wanted, atol=1e-6)
-    values[3, 3, 4] = sign * 0.5  # two together: each is one that is let off
+    np.testing.assert_allclose(outliers(values), values, atol=1e-6)
+    values[3, 3, 4] = sign * 0.5  # two together: one equal voxel beside is not enough
     np.testing.assert_allclose(outliers(values)[3, 3, 3:5], sign * 0.5, atol=1e-6)
-    values[3, 4, 3] = sign * 0.4  # of a bend of three, the corner outlies none of two
+    values[3, 4, 3] = sign * 0.4  # the corner of three, beside a second one
     assert outliers(values)[3, 3, 3] == pytest.approx(sign * 0.1, abs=1e-6)
 
 

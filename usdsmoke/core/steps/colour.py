@@ -11,7 +11,7 @@ starts with.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import count
@@ -22,7 +22,7 @@ from torch import Tensor
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colours
 from usdsmoke.core.smoke.levels import bounded
-from usdsmoke.core.smoke.memory import SHARED_ROWS, LazyList, share_rows
+from usdsmoke.core.smoke.memory import LazyList
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.spread import spread_colours
 from usdsmoke.core.smoke.srgb import encode_srgb, luma
@@ -70,21 +70,18 @@ def run_colour_step(
         watch: called with the octave and the optimiser's state after every iteration.
         warm: the start is nearly right, such as a neighbour's result: ``colour.warm_rate`` of the
             learning rate, and steps that follow the gradient's size, see ``WARM_EPSILON``.
-        carried: no single voxels stand out in the start, which is a neighbour's or a network's.
         look: called with the views of the octave of the smoke's own voxels, and its colours [N 3].
+        carried: no single voxels stand out in the start, which is a neighbour's or a network's.
 
     Returns:
-        Colours [N 3] of the painted voxels, in [0, ``limit_of``], and how each octave ended.
+        Display-encoded colours [N 3] of the painted voxels, in [0, ``limit_of``], in the smoke's
+        order, and how each octave ended.
     """
     smoke, mask, scene, config = problem.smoke, problem.mask, problem.scene, problem.config
     start = None if start is None else start.clamp(0, limit_of(problem))
-    painted, colours, ends = painted_part(problem), start, list[Minimum]()
-    before = painted
-    # blocks of voxels: one opaque voxel would make all of its coarse one opaque
-    limited = bounded(smoke)
-    octaves = octaves_to_do(limited, iterations, scene.pixel_size)
-    for number, factor, octave, n_iterations in octaves:
-        octave = smoke if octave is limited else octave
+    painted = painted_part(problem)
+    colours, before, ends = start, painted, list[Minimum]()
+    for number, factor, octave, n_iterations in _octaves(problem, iterations):
         share = _share(octave, mask)
         here = _painted(octave, share)
         if len(here.ijk) == 0:  # the mask is finer than this octave
@@ -109,6 +106,16 @@ def run_colour_step(
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
         return _changed(painted, start, before, colours).clamp(0, limit_of(problem)), ends
     return _colours_on(painted, before, colours, problem), ends
+
+
+def _octaves(
+    problem: StepProblem, iterations: Sequence[int]
+) -> Iterator[tuple[int, int, ActiveSmoke, int]]:
+    """See ``octaves_to_do``; the finest one is the smoke itself."""
+    # blocks of voxels: one opaque voxel would make all of its coarse one opaque
+    limited = bounded(problem.smoke)
+    for number, factor, octave, n in octaves_to_do(limited, iterations, problem.scene.pixel_size):
+        yield number, factor, problem.smoke if octave is limited else octave, n
 
 
 def _descent(config: Config, n_iterations: int, warm: bool) -> Descent:
@@ -149,13 +156,11 @@ def optimize_colours(
     unknown = begun.clone().requires_grad_(True)
     # epsilon is in units of the mean over all voxels
     epsilon = descent.epsilon * math.sqrt(len(unknown) / max(len(colours), 1))
+
     objective = partial(pictures_loss, pool, unknown, loss, background)
 
-    def clip_part(part: slice) -> None:
-        unknown[part].clamp_(0, rules.limit)
-
     def clip() -> None:
-        share_rows(clip_part, len(unknown), SHARED_ROWS, unknown.device)
+        rules.clip(unknown)
         if next(turn) % HELD_EVERY == 0:
             rules.hold(unknown, begun, rows, light)
 
@@ -168,14 +173,14 @@ def optimize_colours(
         found.copy_(rules.changed(found, judged if n_after else None))
         unknown.copy_(found[shown])
 
-    descent = replace(descent, passage=pool.passage, epsilon=epsilon)
+    state, descent = None, replace(descent, passage=pool.passage, epsilon=epsilon)
     if rules.blended is None:
         states = minimize(objective, [unknown], descent, clip)
     else:
         states = minimize_and_mend(objective, [unknown], descent, change, clip)
-    state, watch = None, watch or (lambda state: None)
     for state in states:
-        watch(state)
+        if watch is not None:
+            watch(state)
     found[shown] = unknown.detach()
     return found, state
 

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.memory import SHARED_ROWS, share_rows
 from usdsmoke.core.smoke.schedule import has_one_view
 from usdsmoke.core.smoke.spread import Surroundings, blend_chroma, luma_detail
 from usdsmoke.core.smoke.srgb import BRIGHTEST, luma
@@ -56,13 +57,22 @@ class ColourRules:
             return colours
         return self.style.nearest(colours, begun).clamp(0, self.limit)
 
+    def clip(self, unknown: Tensor) -> None:
+        """Bring the colours [M 3] that are optimised into their range, in place."""
+
+        def clip_part(part: slice) -> None:
+            unknown[part].clamp_(0, self.limit)
+
+        share_rows(clip_part, len(unknown), SHARED_ROWS, unknown.device)
+
     def hold(self, unknown: Tensor, begun: Tensor, rows: Tensor, light: Tensor) -> None:
         """Bring the colours [M 3] that are optimised to the style, in place.
 
         Args:
             begun: what they began with.
             rows: which of all they are, [M].
-            light: lumas of all colours [N]; those of the rows are overwritten.
+            light: lumas of all colours [N]; those of the rows are overwritten, the others, which
+                no view shows, are those that the octave began with.
         """
         if self.style is not None:
             self.style.bring(unknown, begun, self.limit)

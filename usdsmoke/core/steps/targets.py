@@ -247,7 +247,7 @@ def find_style_size(styles: Sequence[np.ndarray], scene: Scene, config: Config) 
     Args:
         styles: display-encoded images [H W 3] in [0, 1].
     """
-    if config.style.size is not None or config.style.tiling > 1:
+    if not config.style.is_size_open:
         return 1.0
     voxels = scene.image_size * scene.pixel_size * config.grids.refine / scene.reference_voxel_size
     longer_side = voxels / max(1, round(voxels / ViewsConfig().image_size))
