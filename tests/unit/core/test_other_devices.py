@@ -5,6 +5,7 @@ Without a GPU, a device that only has another name stands for one.
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,9 +14,15 @@ import torch
 from tests.fixtures.foreign_device import FOREIGN, foreign_device
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
+from usdsmoke.base.sections import LossesConfig
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence import frame_state
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
+from usdsmoke.core.style.features import EmbeddedFeatures
+from usdsmoke.core.style.losses import StyleTarget
+from usdsmoke.core.style.nearest import nearest_distance
+from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
+from usdsmoke.core.style.sliced import sliced_distance
 from usdsmoke.core.training.canvas import Canvas
 
 FRAMES = [frame_of(puff(8, seed), seed + 1.0) for seed in range(2)]
@@ -41,12 +48,18 @@ Elsewhere = Callable[[Callable[[], list[np.ndarray]]], list[np.ndarray]]
     ],
     ids=str,
 )
-def elsewhere(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Elsewhere:
+def device(request: pytest.FixtureRequest) -> torch.device:
+    """Where it is not the processor that computes."""
+    return request.param
+
+
+@pytest.fixture
+def elsewhere(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> Elsewhere:
     """What a computation gives on another device."""
 
     def run(compute: Callable[[], list[np.ndarray]]) -> list[np.ndarray]:
-        monkeypatch.setattr(frame_state, "choose_device", lambda config: request.param)
-        with foreign_device() if request.param == FOREIGN else nullcontext():
+        monkeypatch.setattr(frame_state, "choose_device", lambda config: device)
+        with foreign_device() if device == FOREIGN else nullcontext():
             return compute()
 
     return run
@@ -83,6 +96,61 @@ def test_a_network_and_its_gradients_are_those_of_the_processor(elsewhere: Elsew
 
     expected = compute()
     assert_about_equal(elsewhere(compute), expected)
+
+
+@pytest.mark.parametrize("features", [3, 24])
+@pytest.mark.parametrize("n", [200, 3000])
+def test_statistics_are_those_of_the_processor(
+    n: int, features: int, elsewhere: Elsewhere, device: torch.device
+) -> None:
+    """Where samples have no weight, the processor leaves them out."""
+    source = torch.Generator().manual_seed(1)
+    values = torch.randn(features, n, generator=source)
+    weights = (torch.rand(n, generator=source) - 0.4).clamp_min(0)
+    values[:, weights == 0] *= 100
+    style = torch.randn(features, 400, generator=source)
+    axes = random_directions(features, 8, 0, style)
+
+    def measure(where: torch.device, weights: torch.Tensor) -> list[np.ndarray]:
+        leaf = values.to(where).requires_grad_()
+        own, other, along, number = (x.to(where) for x in (weights, style, axes, torch.tensor(3)))
+        distances = (
+            sliced_distance(leaf, own, along, quantile_table(along @ other)),
+            quantile_distance(leaf, own, quantile_table(other)),
+            nearest_distance(leaf, own, other, number),
+        )
+        slopes = [torch.autograd.grad(distance, leaf)[0] for distance in distances]
+        return [one.detach().cpu().numpy() for one in (*distances, *slopes)]
+
+    for some in (weights, torch.zeros(n)):
+        expected = measure(torch.device("cpu"), some)
+        found = elsewhere(partial(measure, device, some))
+        for values_there, wanted in zip(found, expected, strict=True):
+            assert np.linalg.norm(values_there - wanted) <= 1e-4 * np.linalg.norm(wanted)
+    assert all(np.all(one == 0) for one in expected)
+
+
+def test_what_is_recorded_waits_for_no_number() -> None:
+    """A GPU can record a style's loss: nothing in it is read, or moved from the processor."""
+    config = LossesConfig(histogram=1.0)
+    style, picture = torch.tensor(STYLE), torch.rand(24, 20, 3)
+
+    def loss_on(device: torch.device) -> tuple[float, torch.Tensor]:
+        like = style.to(device)
+        network = EmbeddedFeatures(like)
+        layers = dict.fromkeys(("oriented1", "learned0", "learned2"), 1.0)
+        target = StyleTarget(like, network, layers, config, nearest_layers=["learned2"])
+        leaf = picture.to(device).requires_grad_()
+        guide = torch.linspace(-1, 1, 20).clamp_min(0).expand(24, 20).to(device)
+        loss = target.loss(leaf, guide, 5)
+        return float(loss.detach()), torch.autograd.grad(loss, leaf)[0].cpu()
+
+    expected, slope = loss_on(torch.device("cpu"))
+    with foreign_device():
+        found, there = loss_on(FOREIGN)
+    assert found == pytest.approx(expected, rel=1e-4)
+    assert float((there - slope).norm() / slope.norm()) < 1e-2
+    assert float(there[:, :2].abs().max()) > 0 or float(slope[:, :2].abs().max()) == 0
 
 
 def test_what_mixes_devices_is_found() -> None:

@@ -14,8 +14,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from usdsmoke.core.smoke.memory import chunks, share_rows
-from usdsmoke.core.smoke.tasks import run_tasks
+from usdsmoke.core.smoke.memory import add_at, chunks, run_on, share_rows
 
 ADJOINT_BLOCKS = 4  # of positions, at most
 GATHER_CHUNK = 65536  # points; measured best of 2^14 ... 2^20
@@ -125,7 +124,7 @@ def _adjoint(grad_planes: Tensor, positions: Tensor, shape: torch.Size, cubic: b
                 _add_weighted(plane, base - low, strides, by_axis, grad_plane[here])
         return low, sums
 
-    found = run_tasks([partial(add_block, block) for block in blocks])
+    found = run_on(positions.device, [partial(add_block, block) for block in blocks])
     if len(found) == 1:
         return found[0][1].T.reshape(shape)
     planes = grad_planes.new_zeros(len(grad_planes), n_voxels)
@@ -237,7 +236,7 @@ def _add_weighted(
 ) -> None:
     """The adjoint of ``_weighted_sum``: adds weighted ``amounts`` to ``plane``."""
     if not by_axis:
-        plane.index_add_(0, base, amounts)
+        add_at(plane, base, amounts)
         return
     for step, weight in enumerate(by_axis[0].weights):
         _add_weighted(plane[step * strides[0] :], base, strides[1:], by_axis[1:], weight * amounts)

@@ -13,8 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from usdsmoke.core.smoke.memory import chunks, share_rows
-from usdsmoke.core.smoke.tasks import run_tasks
+from usdsmoke.core.smoke.memory import chunks, run_on, share_rows
 
 ROWS = 2**12  # voxels at a time
 FEWEST = 64  # rows of a product: for fewer, BLAS sums in another order
@@ -56,7 +55,7 @@ class _Convolve(torch.autograd.Function):
             return _gather(table, neighbours[part]).T @ upstream[part]
 
         parts = chunks(len(values), ROWS, values.device)
-        products = run_tasks([partial(correlate, part) for part in parts])
+        products = run_on(values.device, [partial(correlate, part) for part in parts])
         steep = products[0]
         for product in products[1:]:
             steep = steep + product

@@ -27,9 +27,9 @@ from usdsmoke.core.sequence.picture_errors import (
     resolution_error,
 )
 from usdsmoke.core.smoke.levels import bounded
+from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.smoke.schedule import has_one_view, pool_size, view_ranges
 from usdsmoke.core.smoke.srgb import decode_srgb
-from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.smoke.voxels import FLOOR_TIMES
 from usdsmoke.core.steps.colour import FAINT
 from usdsmoke.core.steps.loss_tail import likely_difference, remaining_decrease, spread_of_mean
@@ -273,7 +273,7 @@ def _colour_losses(
     def colour_loss(look: ColourView) -> float:
         return float(loss(look.unpremultiplied(linear, targets.background), look.guide))
 
-    return run_tasks([partial(colour_loss, look) for look in looks])
+    return run_on(colours.device, [partial(colour_loss, look) for look in looks])
 
 
 def _grey_losses(problem: StepProblem, views: Sequence[View]) -> list[float]:
@@ -285,7 +285,7 @@ def _grey_losses(problem: StepProblem, views: Sequence[View]) -> list[float]:
         look = grey_view(image, smoke.density, share, scene.gamma_w_shape, scene.exposure_shape)
         return float(loss(look.over_grey(look.grey, scene.grey_mean), look.guide))
 
-    return run_tasks([partial(grey_loss, view) for view in views])
+    return run_on(smoke.density.device, [partial(grey_loss, view) for view in views])
 
 
 def _timed(estimate: Callable[[], StepError | float]) -> Estimate:

@@ -14,7 +14,7 @@ from usdsmoke.core.fields.richardson import StepError, step_error
 from usdsmoke.core.rays.march import march
 from usdsmoke.core.rays.media import Medium, make_media
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, densify
-from usdsmoke.core.smoke.tasks import run_tasks
+from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.project import colour_map, column_map
@@ -144,7 +144,7 @@ def pixel_filter_error(
     sampled = painted.picture(view, gamma_w) if picture is None else picture
     offsets = [(x, y) for x in (-0.25, 0.25) for y in (-0.25, 0.25)]
     moved = [replace(view, shift=(view.shift[0] + x, view.shift[1] + y)) for x, y in offsets]
-    pictures = run_tasks([partial(painted.picture, other, gamma_w) for other in moved])
+    pictures = run_on(sampled.device, [partial(painted.picture, other, gamma_w) for other in moved])
     averaged = torch.stack(pictures).mean(0)
     size = float(averaged.abs().sum())
     return float((sampled - averaged).abs().sum()) / size if size > 0 else 0.0

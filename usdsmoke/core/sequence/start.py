@@ -17,6 +17,7 @@ from usdsmoke.core.sequence.coherence import carry_colours, carry_displacement, 
 from usdsmoke.core.sequence.steadiness import Clouds
 from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, sample_colours
+from usdsmoke.core.smoke.memory import sums_of
 
 # Share of the difference to the coarse result by which a carried result is corrected. More keeps
 # windows closer together, less follows the smoke more smoothly; benchmarks/coherence.py.
@@ -165,8 +166,6 @@ def _bin(voxels: Tensor, values: Tensor, shape: tuple[int, ...]) -> tuple[Tensor
     """Sums [V C] float64 and counts [V 1] of values [N C] by voxel; outside ones are dropped."""
     n_voxels, inside = math.prod(shape), voxels >= 0
     voxels = voxels[inside]
-    sums = [
-        torch.bincount(voxels, channel[inside].double(), minlength=n_voxels) for channel in values.T
-    ]
+    sums = [sums_of(voxels, channel[inside].double(), n_voxels) for channel in values.T]
     counts = torch.bincount(voxels, minlength=n_voxels)
     return torch.stack(sums, 1), counts[:, None].double()

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.volume import DenseField
-from usdsmoke.core.smoke.memory import SHARED_ROWS, share_rows
+from usdsmoke.core.smoke.memory import SHARED_ROWS, share_rows, sums_of
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
 
@@ -111,7 +111,7 @@ def coarsen(smoke: ActiveSmoke) -> ActiveSmoke:
     first = blocks.amin(0)
     shape = blocks.amax(0) - first + 1
     keys, inverse = torch.unique(flat_key(blocks, first, shape), return_inverse=True)
-    sums = torch.bincount(inverse, smoke.density.double(), minlength=len(keys))
+    sums = sums_of(inverse, smoke.density.double(), len(keys))
     density = (sums / float(np.prod(factor))).to(smoke.density.dtype)
     ijk = torch.stack(
         [keys // (shape[1] * shape[2]), keys // shape[2] % shape[1], keys % shape[2]], dim=1

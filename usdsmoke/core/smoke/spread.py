@@ -14,9 +14,8 @@ from usdsmoke.core.smoke.active import (
     flat_key,
     sample_colours,
 )
-from usdsmoke.core.smoke.memory import SHARED_ROWS, share_rows
+from usdsmoke.core.smoke.memory import SHARED_ROWS, run_on, share_rows, sums_of
 from usdsmoke.core.smoke.srgb import luma
-from usdsmoke.core.smoke.tasks import run_tasks
 
 KNOWN = 0.99  # trust above which a voxel keeps its colour: the rest of it would not be seen
 ENOUGH = 0.5  # mean trust of a block's voxels at which it needs no larger block
@@ -63,7 +62,7 @@ def _around(smoke: ActiveSmoke, weighted: Tensor, trust: Tensor, positions: Tens
     n_members = torch.bincount(block, minlength=len(coarse.ijk)).to(weighted)
     summed = torch.stack(
         [
-            torch.bincount(block, column, minlength=len(coarse.ijk)).to(weighted)
+            sums_of(block, column, len(coarse.ijk)).to(weighted)
             for column in (*weighted.unbind(1), trust)
         ],
         dim=1,
@@ -151,7 +150,7 @@ class Surroundings:
             return before, behind
 
         strides = (shape[1] * shape[2], shape[2], 1)
-        return run_tasks([partial(along, stride) for stride in strides])
+        return run_on(ijk.device, [partial(along, stride) for stride in strides])
 
 
 def _with_neighbours(values: Tensor, before: Tensor, behind: Tensor, own: float) -> Tensor:

@@ -24,7 +24,7 @@ from usdsmoke.core.fields.transport import Scheme, correct_mass, warp
 from usdsmoke.core.fields.warp_error import warp_error
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen
 from usdsmoke.core.smoke.levels import dense_level
-from usdsmoke.core.smoke.tasks import run_tasks
+from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.views.visibility import EffectMask
 
 FADE = 0.02  # of the smoke's extent: sigma of the fade towards the border
@@ -141,7 +141,7 @@ def move_density(
         partial(_motionless, source, box, lattice, shape, mask),
         partial(measure_evenness, u, box),
     ]
-    estimate, motionless, evenness = run_tasks(measures)
+    estimate, motionless, evenness = run_on(box.device, measures)
 
     # restore the mass, and put the box into the field
     result, mass_error = _with_mass(moved, box, shape.mass_correction, share, linear)

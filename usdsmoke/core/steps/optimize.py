@@ -13,8 +13,7 @@ from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.machine import give_back_memory
-from usdsmoke.core.smoke.memory import SHARED_ROWS, share_rows
-from usdsmoke.core.smoke.tasks import run_tasks
+from usdsmoke.core.smoke.memory import SHARED_ROWS, chunks, run_on, share_rows
 
 BLOW_UP = 10.0  # a loss this many times the best recent one is a step gone wrong
 NOISE = 1e-6  # share of the first loss below which its ups and downs are round-off
@@ -273,8 +272,9 @@ def _evaluate(
 
 def _is_finite(values: Tensor) -> bool:
     """Whether no value is NaN or infinite; in one pass that makes no other tensor."""
-    parts = values.reshape(-1).split(SHARED_ROWS)
-    ends = run_tasks([part.aminmax for part in parts if part.numel()])
+    flat = values.reshape(-1)
+    parts = chunks(len(flat), SHARED_ROWS, flat.device)
+    ends = run_on(flat.device, [flat[part].aminmax for part in parts])
     return all(math.isfinite(end) for pair in ends for end in pair)
 
 

@@ -13,9 +13,9 @@ from torch import Tensor
 from usdsmoke.base.sections import LossesConfig, StyleConfig, ViewsConfig
 from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.core.smoke.srgb import decode_srgb, luma
-from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.style.features import build_network
 from usdsmoke.core.style.hues import Hues, count_hues
 from usdsmoke.core.style.layers import content_layers, nearest_layers, style_layers
@@ -169,7 +169,7 @@ class StyleTargets:
         pairs = [
             (image, of) for of in sorted(wanted) for _, image in self._used
         ]  # large ones first
-        run_tasks([partial(_make, image, *of) for image, of in pairs])
+        run_on(self.device, [partial(_make, image, *of) for image, of in pairs])
 
     @property
     def _used(self) -> list[tuple[float, StyleFeatures]]:

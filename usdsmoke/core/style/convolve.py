@@ -73,8 +73,9 @@ class Filters:
 
 def padded(maps: Tensor, border: int) -> Tensor:
     """Feature maps [1 C H W] with replicated borders."""
-    wide = F.pad(maps, (border,) * 4, mode="replicate")
-    return wide.contiguous(memory_format=torch.channels_last)
+    if maps.device.type != "cpu":
+        return cast(Tensor, _Padded.apply(maps, border))
+    return _pad(maps, border)
 
 
 def unpadded(slope: Tensor, border: int) -> Tensor:
@@ -116,6 +117,26 @@ def _widened(maps: Tensor, below: int, beside: int, like: Tensor) -> Tensor:
     wide[..., height:, :] = 0
     wide[..., width:] = 0
     return wide
+
+
+def _pad(maps: Tensor, border: int) -> Tensor:
+    wide = F.pad(maps, (border,) * 4, mode="replicate")
+    return wide.contiguous(memory_format=torch.channels_last)
+
+
+class _Padded(torch.autograd.Function):
+    """Torch's own slope adds up in any order on a GPU."""
+
+    @staticmethod
+    def forward(ctx: Any, maps: Tensor, border: int) -> Tensor:
+        ctx.border = border
+        return _pad(maps, border)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
+        slope = upstream.clone(memory_format=torch.channels_last)
+        return unpadded(slope, ctx.border), None
 
 
 class _Convolved(torch.autograd.Function):

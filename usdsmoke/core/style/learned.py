@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from usdsmoke.core.smoke.memory import add_at
 from usdsmoke.core.style.convolve import Filters, padded
 from usdsmoke.core.style.definition import (
     COLOUR_RELATIVE,
@@ -135,7 +136,8 @@ def _cluster_directions(
     centres = points[start].clone()
     for _ in range(n_iterations):
         nearest = (points @ centres.T).argmax(dim=1)
-        sums = torch.zeros_like(centres).index_add_(0, nearest, points)
+        sums = torch.zeros_like(centres)
+        add_at(sums, nearest, points)
         empty = sums.norm(dim=1) < 1e-8
         if bool(empty.any()):
             drawn = torch.randint(len(points), (int(empty.sum()),), generator=generator)

@@ -27,6 +27,7 @@ from torch import Tensor
 
 from usdsmoke.base.sections import LossesConfig
 from usdsmoke.core.smoke.memory import accumulate
+from usdsmoke.core.smoke.replay import Replay
 from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
 from usdsmoke.core.style.features import Network, independent_layers
@@ -142,6 +143,7 @@ class StyleTarget:
         with torch.no_grad():
             maps = network(style, frozenset(self._weights))
             self._layers = {name: _LayerTarget(maps[name], seed) for name in self._weights}
+        self._replays: dict[torch.Size, Replay] = {}  # on a GPU, by the pictures' shape
 
     def loss(self, picture: Tensor, guide: Tensor | None, draw: int = 0) -> Tensor:
         """Weighted sum over the style layers; scalar, (nearly) 0 for the style itself.
@@ -153,12 +155,20 @@ class StyleTarget:
 
         Gradients: through ``picture``.
         """
+        if guide is None or picture.device.type == "cpu":
+            return self._sum(picture, guide, draw)
+        number = torch.full((), draw, device=picture.device)
+        if picture.shape not in self._replays:
+            self._replays[picture.shape] = Replay(self._sum, picture, guide, number)
+        return self._replays[picture.shape](picture, guide, number)
+
+    def _sum(self, picture: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
         groups = independent_layers(self._network, frozenset(self._weights))
         terms = [partial(self._loss_of, group, guide=guide, draw=draw) for group in groups]
         return accumulate(picture, terms)
 
     def _loss_of(
-        self, names: frozenset[str], picture: Tensor, guide: Tensor | None, draw: int
+        self, names: frozenset[str], picture: Tensor, guide: Tensor | None, draw: int | Tensor
     ) -> Tensor:
         """The part of the loss that some of the style layers have."""
         maps, losses = self._network(picture, names), self._losses
@@ -233,23 +243,36 @@ class _LayerTarget:
         scaled = _wide(_flat(maps)) * self._scale[:, None]
         return torch.sqrt(quantile_distance(scaled, weights, self._table) + 1e-8)
 
-    def nearest_distance(self, maps: Tensor, guide: Tensor | None, draw: int) -> Tensor:
+    def nearest_distance(self, maps: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
         """Root mean square way from a draw of the picture's features to the style's nearest."""
         weights = None if guide is None else _small(guide, maps).square()[0]
         scaled = _wide(_flat(maps)) * self._scale[:, None]
         return torch.sqrt(nearest_distance(scaled, weights, self._thinned, draw) + 1e-8)
 
-    def sliced_distance(self, maps: Tensor, guide: Tensor | None, draw: int) -> Tensor:
+    def sliced_distance(self, maps: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
         """The same along a draw of random directions."""
+        if isinstance(draw, Tensor):
+            axes, table = (every.index_select(0, draw[None])[0] for every in self._all_slices)
+        else:
+            axes, table = self._slice(draw)
+        weights = None if guide is None else _small(guide, maps).square()[0]
+        return torch.sqrt(sliced_distance(_flat(maps), weights, axes, table) + 1e-8)
+
+    def _slice(self, draw: int) -> tuple[Tensor, Tensor]:
+        """The directions of a draw, and the quantiles of the style along them."""
         if draw not in self._slices:
             seed = self._seed + draw
             n = min(N_DIRECTIONS, MOST_PER_CHANNEL * len(self._style))
             axes = random_directions(len(self._style), n, seed, self._style)
             table = quantile_table(axes @ _some(self._style, MOST_SAMPLES, seed))
             self._slices[draw] = axes * self._scale, table
-        axes, table = self._slices[draw]
-        weights = None if guide is None else _small(guide, maps).square()[0]
-        return torch.sqrt(sliced_distance(_flat(maps), weights, axes, table) + 1e-8)
+        return self._slices[draw]
+
+    @cached_property
+    def _all_slices(self) -> tuple[Tensor, Tensor]:
+        """Those of every draw, [N_DRAWS D C] and [N_DRAWS D n]."""
+        axes, tables = zip(*map(self._slice, range(N_DRAWS)), strict=True)
+        return torch.stack(axes), torch.stack(tables)
 
 
 class _GramDistance(torch.autograd.Function):

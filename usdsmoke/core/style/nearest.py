@@ -6,6 +6,7 @@ place of the style.
 """
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 MOST_STYLE = 1500  # features of the style that are looked through, evenly spaced
@@ -19,7 +20,7 @@ def thin_out(style: Tensor) -> Tensor:
 
 
 def nearest_distance(
-    values: Tensor, weights: Tensor | None, style: Tensor, draw: int = 0
+    values: Tensor, weights: Tensor | None, style: Tensor, draw: int | Tensor = 0
 ) -> Tensor:
     """Weighted mean of |F - F_s|² / C over features F [C P], F_s the nearest of the style's [C S].
 
@@ -30,13 +31,19 @@ def nearest_distance(
         values: of a picture.
         weights: [P], >= 0; None means 1 everywhere.
         style: see ``thin_out``.
-        draw: which of the features, e.g. the iteration.
+        draw: which of the features, e.g. the iteration; a tensor on a GPU, where nothing waits for
+            a number.
 
     Returns:
         A scalar; 0 if no weight is above ``LEAST_WEIGHT``.
 
     Gradients: through ``values``, with the choice of the nearest held.
     """
+    if weights is not None and weights.device.type != "cpu":
+        chosen, weights = _drawn(weights, draw)
+        values = values.T.index_select(0, chosen).T
+        square = (values - _nearest(values, style)).square().mean(0)
+        return (square * weights).sum() / weights.sum().clamp_min(torch.finfo(square.dtype).tiny)
     if weights is None:
         chosen = torch.arange(values.shape[1], device=values.device)
     else:
@@ -48,15 +55,32 @@ def nearest_distance(
         values = values.T.index_select(0, chosen).T
     if values.shape[1] == 0:
         return values.sum()
-    with torch.no_grad():
-        half_squares = 0.5 * style.square().sum(0)
-        nearness = torch.addmm(half_squares, values.T, style, beta=-1)
-        wanted = style.T.index_select(0, _largest(nearness)).T
-    square = (values - wanted).square().mean(0)
+    square = (values - _nearest(values, style)).square().mean(0)
     if weights is None:
         return square.mean()
     weights = weights[chosen]
     return (square * weights).sum() / weights.sum()
+
+
+def _drawn(weights: Tensor, draw: int | Tensor) -> tuple[Tensor, Tensor]:
+    """The features of a draw, always as many, and their weights; 0 for those that fill up."""
+    n, enough = len(weights), weights > LEAST_WEIGHT
+    rank = torch.cumsum(enough, 0) - 1
+    n_draws = torch.div(rank[-1] + MOST_LOOKED_UP, MOST_LOOKED_UP, rounding_mode="floor")
+    n_draws = n_draws.clamp_min(1)
+    is_drawn = enough & (rank % n_draws == draw % n_draws)
+    place = torch.where(is_drawn, torch.arange(n, device=weights.device), n)
+    chosen = place.sort().values[:MOST_LOOKED_UP]
+    weights = F.pad(weights, (0, 1)).index_select(0, chosen)
+    return chosen.clamp(max=n - 1), weights
+
+
+@torch.no_grad()
+def _nearest(values: Tensor, style: Tensor) -> Tensor:
+    """For each feature [C P] the nearest of the style's [C S]."""
+    half_squares = 0.5 * style.square().sum(0)
+    nearness = torch.addmm(half_squares, values.T, style, beta=-1)
+    return style.T.index_select(0, _largest(nearness)).T
 
 
 def _largest(values: Tensor) -> Tensor:

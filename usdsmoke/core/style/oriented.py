@@ -7,6 +7,7 @@ channels.
 """
 
 import math
+from functools import cache
 from typing import Any, cast
 
 import torch
@@ -143,6 +144,11 @@ def _blur_slope(upstream: Tensor) -> Tensor:
 
 def _binomial(image: Tensor) -> tuple[Tensor, Tensor]:
     """The low-pass across and down, one filter a channel."""
-    channels, kernel = image.shape[1], _BINOMIAL.to(image)
+    channels, kernel = image.shape[1], _binomial_on(image.device, image.dtype)
     across = kernel.view(1, 1, 1, -1).expand(channels, 1, 1, -1)
     return across, across.transpose(2, 3)
+
+
+@cache
+def _binomial_on(device: torch.device, dtype: torch.dtype) -> Tensor:
+    return _BINOMIAL.to(device, dtype)

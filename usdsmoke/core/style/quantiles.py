@@ -67,7 +67,7 @@ def quantile_distance(values: Tensor, weights: Tensor | None, table: Tensor) -> 
         ShapeError: the shapes are not as above.
     """
     _check_shapes(values, weights, table)
-    if weights is not None:
+    if weights is not None and weights.device.type == "cpu":  # on a GPU nothing waits for a number
         kept = (weights > 0).nonzero().squeeze(1)
         if kept.numel() < weights.numel():
             values, weights = values.index_select(1, kept), weights.index_select(0, kept)
@@ -76,7 +76,7 @@ def quantile_distance(values: Tensor, weights: Tensor | None, table: Tensor) -> 
         return values.sum()  # of nothing: 0, and its gradient is 0
     with torch.no_grad():
         order = _ascending_order(values)
-        share = None if weights is None else _weight_share(weights, values)
+        share = None if weights is None else weight_share(weights, values)
         match = _match(order, share, table.to(values))
     error = (values - match).square()
     per_channel = error.mean(dim=1) if share is None else error @ share
@@ -141,10 +141,14 @@ def _middles(n: int, like: Tensor) -> Tensor:
     return ((torch.arange(n, dtype=torch.float64) + 0.5) / n).to(like.device)
 
 
-def _weight_share(weights: Tensor, like: Tensor) -> Tensor:
-    """Positive weights by their sum, [P]; scaled first, so that no size of them is lost."""
-    scaled = (weights.detach() / weights.max()).to(like)
-    return scaled / scaled.sum()
+def weight_share(weights: Tensor, like: Tensor) -> Tensor:
+    """Weights >= 0 by their sum, [P]; scaled first, so that no size of them is lost.
+
+    All are 0 where no weight is left.
+    """
+    tiny = torch.finfo(like.dtype).tiny
+    scaled = (weights.detach() / weights.max().clamp_min(tiny)).to(like)
+    return scaled / scaled.sum().clamp_min(tiny)
 
 
 def _ascending(values: Tensor) -> Tensor:

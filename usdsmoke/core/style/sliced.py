@@ -11,9 +11,15 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.core.style.quantiles import at_least_single, check_weights, quantile_distance
+from usdsmoke.core.style.quantiles import (
+    at_least_single,
+    check_weights,
+    quantile_distance,
+    weight_share,
+)
 
 N_BINS = 512  # of a direction, over the range of its samples
+WHOLE = 2**40  # parts of the weight
 FEWEST_PER_BIN = 4  # samples; fewer are sorted, which is as fast, as bins would blur their ranks
 
 
@@ -36,8 +42,8 @@ def sliced_distance(
         n_bins: >= 1.
 
     Gradients: through ``values``; the match q(F(x)) is held constant [Risser2017], which gives the
-    slope of the distance itself, as the best match does not change to first order. Sums come in a
-    fixed order on a CPU.
+    slope of the distance itself, as the best match does not change to first order. On a GPU nothing
+    waits for a number, and samples of weight 0 are looked up too.
 
     Raises:
         ShapeError: the shapes are not as above.
@@ -90,6 +96,8 @@ def _shares(values: Tensor, weights: Tensor | None) -> tuple[Tensor | None, Tens
     if weights is None:
         n = values.shape[1]
         return None, values.new_full((n,), 1 / max(n, 1))
+    if weights.device.type != "cpu":
+        return None, weight_share(weights, values)
     kept = (weights > 0).nonzero().squeeze(1)
     scaled = weights.detach().index_select(0, kept).to(values)
     if len(kept):  # scaled first, so that no size of weights is lost
@@ -100,6 +108,8 @@ def _shares(values: Tensor, weights: Tensor | None) -> tuple[Tensor | None, Tens
 
 def _match(samples: Tensor, share: Tensor, table: Tensor, n_bins: int) -> Tensor:
     """What each sample [D P] is matched with, q(F(x))."""
+    if samples.device.type != "cpu":  # those of weight 0 lie within the others
+        samples = torch.where(share > 0, samples, samples @ share[:, None])
     # ten times as fast as ``aminmax`` along an axis
     low, high = samples.amin(dim=1, keepdim=True), samples.amax(dim=1, keepdim=True)
     width = (high - low).clamp_min(torch.finfo(samples.dtype).tiny) / n_bins
@@ -107,19 +117,25 @@ def _match(samples: Tensor, share: Tensor, table: Tensor, n_bins: int) -> Tensor
     number = place.to(torch.int32).clamp_(0, n_bins - 1)  # whatever NaN becomes
     fraction = place.sub_(number.to(place.dtype))
     first = torch.arange(len(samples), device=samples.device, dtype=torch.int32)[:, None]
-    counted = torch.bincount(
-        number.add(first * n_bins).view(-1),
-        share.expand_as(samples).reshape(-1),
-        minlength=len(samples) * n_bins,
-    ).view(len(samples), n_bins)
+    counted = _count(number.add(first * n_bins).view(-1), share, len(samples) * n_bins)
     edges = torch.zeros(len(samples), n_bins + 1, dtype=samples.dtype, device=samples.device)
-    edges[:, 1:] = counted.double().cumsum(dim=1)
+    edges[:, 1:] = counted.view(len(samples), n_bins).double().cumsum(dim=1)
     matched = _quantiles_at(table, edges)
     near = number.add_(first * (n_bins + 1)).view(-1)
     flat, rise = matched.view(-1), torch.zeros_like(matched)
     rise[:, :-1] = matched.diff(dim=1)
     found = rise.view(-1).index_select(0, near).view_as(samples).mul_(fraction)
     return found.add_(flat.index_select(0, near).view_as(samples))
+
+
+def _count(number: Tensor, share: Tensor, n: int) -> Tensor:
+    """The shares [P], again and again, by their number [D P] flat; [n]."""
+    if number.device.type == "cpu":
+        return torch.bincount(number, share.repeat(len(number) // len(share)), minlength=n)
+    # a GPU adds up in any order, which sums of whole numbers do not show
+    whole = (share.double() * WHOLE).long().repeat(len(number) // len(share))
+    counted = torch.zeros(n, dtype=torch.int64, device=number.device)
+    return counted.index_add_(0, number, whole) / float(WHOLE)
 
 
 def _quantiles_at(table: Tensor, share: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from usdsmoke.core.smoke.memory import chunks
+from usdsmoke.core.smoke.memory import add_at, chunks
 from usdsmoke.core.views.cameras import View
 
 THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32
@@ -117,14 +117,11 @@ class Slabs:
         return cell, slab.sub_(near).to(self._cells)
 
     def add(self, cell: Tensor, far: Tensor, shifts: Sequence[int], depths: Tensor) -> None:
-        """Add optical depths [4 N] to the slabs around points, ``shifts`` after their pixel.
-
-        On a GPU the order of the sums, and with it the last bits, is not fixed.
-        """
+        """Add optical depths [4 N] to the slabs around points, ``shifts`` after their pixel."""
         behind = depths * far
         for shift, near, rest in zip(shifts, depths - behind, behind, strict=True):
-            self._cells[shift:].index_add_(0, cell, near)
-            self._cells[shift + self._n_pixels :].index_add_(0, cell, rest)
+            add_at(self._cells[shift:], cell, near)
+            add_at(self._cells[shift + self._n_pixels :], cell, rest)
 
     def at(self, cell: Tensor, far: Tensor, shifts: Sequence[int]) -> Tensor:
         """The values around points in those pixels, linear between slabs, [4 N]."""

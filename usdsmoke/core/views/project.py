@@ -22,7 +22,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.core.fields.sparse_image import SparseImage
-from usdsmoke.core.smoke.memory import chunks
+from usdsmoke.core.smoke.memory import add_at, chunks
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.footprint import voxel_points
 from usdsmoke.core.views.optics import THICKEST, Slabs, opacity
@@ -273,16 +273,13 @@ class _LitPoints:
         self._is_lit = True
 
     def picture(self) -> Tensor:
-        """All light, [H W]; behind ``take_share``.
-
-        On a GPU the order of the sums, and with it the last bits, is not fixed.
-        """
+        """All light, [H W]; behind ``take_share``."""
         n_pixels = self._view.height * self._view.width
         # and what has no weight beyond the picture
         total = self._light.new_zeros(n_pixels + max(self._shifts))
         for pixel, light in zip(self._first, self._light, strict=True):
             for shift, corner in zip(self._shifts, light, strict=True):
-                total[shift:].index_add_(0, pixel, corner)
+                add_at(total[shift:], pixel, corner)
         return total[:n_pixels].view(self._view.height, self._view.width)
 
     def image(self, nothing: float, least: Tensor) -> SparseImage:
