@@ -3,14 +3,16 @@
     python -m benchmarks.one_pass_device [--box 200 300 200] [--views 9] [--report PAGE.md]
 
 The colour step on a plume that fills a third of a box, on the processor and, where there is one, on
-a CUDA GPU. The network is not trained: its time does not depend on its parameters. The colours that
-it paints on a GPU are compared with the processor's.
+a CUDA GPU; and a whole frame, both steps with the settings as they are, on a plume of a quarter as
+many voxels. The network is not trained: its time does not depend on its parameters. What a GPU
+gives is compared with what the processor does.
 """
 
 import argparse
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,34 +21,49 @@ import torch
 from benchmarks.circumstances import publish, table_page
 from benchmarks.shape_cost import make_plume, make_style
 from usdsmoke.base.resolve import resolve_config
+from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
+from usdsmoke.core.sequence.stylize import stylize_window
 from usdsmoke.core.smoke.schedule import network_iterations
 from usdsmoke.core.steps.behind import refine_painted
 from usdsmoke.core.steps.colour import run_colour_step
-from usdsmoke.core.steps.targets import StepProblem
-from usdsmoke.core.views.scene import measure_scene
+from usdsmoke.core.views.scene import Scene, measure_scene
 
-__all__ = ["main", "measure_device"]
+__all__ = ["Way", "main", "measure_device"]
 
 SHARE = 1 / 3  # of the box that holds smoke
 AFTER = 32
+FRAME = 0.64  # of the box's sides: a quarter of its voxels
 _INTRO = (
     "# A frame on each device",
     "",
-    "The colour step on a plume, from noise by the default iterations, and behind a network. Wall",
-    "seconds of the second of two runs: the first one compiles and warms up.",
+    "The colour step on a plume, from noise by the default iterations, and behind a network that",
+    "is not trained; and a whole frame, both steps, of a quarter as many voxels. Wall seconds of",
+    "the first run of the process, in which a GPU loads its code and records the losses, and of",
+    "the second. The loss is that of the last iterations of the colour step.",
 )
+
+
+@dataclass(frozen=True)
+class Way:
+    """What one way takes, and where it ends."""
+
+    name: str
+    voxels: int
+    seconds: tuple[float, float]  # of the first and the second run
+    loss: float | None  # smoothed, of the colour step's last octave; None: there is none
+    gib: float  # of a GPU's memory, at most
 
 
 def measure_device(
     box: Sequence[int], n_views: int, device: str, iterations: Sequence[int] | None = None
-) -> tuple[dict[str, float], np.ndarray]:
-    """Wall seconds by way, and the colours [N 3] that the network paints.
+) -> tuple[list[Way], np.ndarray]:
+    """Each way, and the colours [N 3] that the network paints.
 
     Args:
-        iterations: from noise; None: the default.
+        iterations: of the colour step from noise; None: the default.
     """
     config = resolve_config(
         {
@@ -54,37 +71,66 @@ def measure_device(
             "optimize": {"device": device, "tolerance": 0.0, "steps": ["colour"]},
         }
     )
-    i, j, k = box
-    field = DenseField("density", make_plume((i, j, k), SHARE), (0, 0, 0), np.eye(4))
-    frame = VolumeFrame(1.0, field, np.eye(4))
-    scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+    frame, scene = _plume(box, config)
     context = make_context([make_style()], scene, config, None, 24.0, None, 0)
     problem = open_frame(frame, context).colour_problem()
     generator = Generator.new(torch.tensor([0.5, 0.4, 0.6]), 0).to(context.device)
     octaves = list(iterations or config.colour.iterations)
-    behind = network_iterations([*[0] * (len(octaves) - 1), AFTER], len(problem.smoke.ijk))
+    n_voxels = len(problem.smoke.ijk)
+    behind = network_iterations([*[0] * (len(octaves) - 1), AFTER], n_voxels)
 
     def paint() -> torch.Tensor:
         return generator.paint(problem.smoke, scene.gamma_w, 0)
 
-    ways: dict[str, Callable[[], object]] = {
-        f"noise, {sum(octaves)} iterations": lambda: run_colour_step(problem, octaves),
-        f"network + {AFTER}": lambda: refine_painted(problem, behind, paint()),
-        "network": paint,
-    }
-    return {way: _seconds(run, problem) for way, run in ways.items()}, paint().cpu().numpy()
+    def from_noise() -> float:
+        return run_colour_step(problem, octaves)[1][-1].smoothed
+
+    def refine() -> float:
+        return refine_painted(problem, behind, paint())[1][-1].smoothed
+
+    ways = [
+        _measure("network", n_voxels, device, lambda: (paint(), None)[1]),
+        _measure(f"network + {AFTER}", n_voxels, device, refine),
+        _measure(f"noise, {sum(octaves)} iterations", n_voxels, device, from_noise),
+        _whole_frame([round(FRAME * n) for n in box], device, iterations),
+    ]
+    return ways, paint().cpu().numpy()
 
 
-def _seconds(run: Callable[[], object], problem: StepProblem) -> float:
-    """Of the second of two runs."""
-    spent = 0.0
-    for _ in range(2):
+def _whole_frame(box: Sequence[int], device: str, iterations: Sequence[int] | None) -> Way:
+    settings = {"colour": {"iterations": list(iterations)}} if iterations else {}
+    config = resolve_config({"optimize": {"device": device}}, settings)
+    frame, scene = _plume(box, config)
+
+    def stylize() -> float:
+        (done,) = stylize_window([frame], [make_style()], scene, config)
+        assert done.report.colour is not None
+        return done.report.colour.loss[-1]
+
+    n_voxels = int((frame.density.values > 0).sum())
+    return _measure("whole frame", n_voxels, device, stylize)
+
+
+def _plume(box: Sequence[int], config: Config) -> tuple[VolumeFrame, Scene]:
+    i, j, k = box
+    field = DenseField("density", make_plume((i, j, k), SHARE), (0, 0, 0), np.eye(4))
+    frame = VolumeFrame(1.0, field, np.eye(4))
+    return frame, measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+
+
+def _measure(name: str, n_voxels: int, device: str, run: Callable[[], float | None]) -> Way:
+    on_gpu = device != "cpu"
+    if on_gpu:
+        torch.cuda.reset_peak_memory_stats()
+    spent, loss = [], None
+    for _ in range(2 if on_gpu else 1):
         begin = time.perf_counter()
-        run()
-        if problem.smoke.ijk.is_cuda:
+        loss = run()
+        if on_gpu:
             torch.cuda.synchronize()
-        spent = time.perf_counter() - begin
-    return spent
+        spent.append(time.perf_counter() - begin)
+    gib = torch.cuda.max_memory_allocated() / 2**30 if on_gpu else 0.0
+    return Way(name, n_voxels, (spent[0], spent[-1]), loss, gib)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -98,18 +144,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     devices = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
     lines, first = [], None
     for device in devices:
-        seconds, colours = measure_device(given.box, given.views, device, given.iterations)
+        ways, colours = measure_device(given.box, given.views, device, given.iterations)
         first = colours if first is None else first
         apart = float(np.abs(colours - first).max())
-        for way, taken in seconds.items():
-            lines.append(f"| {device} | {len(colours):,} | {way} | {taken:.2f} | {apart:.1e} |")
+        for way in ways:
+            cells = [
+                device, f"{way.voxels:,}", way.name, *(f"{s:.2f}" for s in way.seconds),
+                "" if way.loss is None else f"{way.loss:.3f}", f"{way.gib:.1f}",
+                f"{apart:.1e}" if way.name == "network" else "",
+            ]  # fmt: skip
+            lines.append(f"| {' | '.join(cells)} |")
             print(lines[-1], file=sys.stderr, flush=True)
     if devices == ["cpu"]:
         print("no CUDA device: only the processor was measured", file=sys.stderr)
-    columns = ["device", "voxels", "way", "s", "network's colours, farthest from the processor's"]
+    columns = [
+        "device", "voxels", "way", "first, s", "second, s", "loss", "GPU, GiB",
+        "colours, farthest from the processor's",
+    ]  # fmt: skip
     own = sys.argv[1:] if arguments is None else arguments
     command = ["python", "-m", "benchmarks.one_pass_device", *own]
-    publish(table_page(_INTRO, columns, lines, command), given.report)
+    page = table_page(_INTRO, columns, lines, command)
+    if len(devices) > 1:
+        page += f"- GPU: {torch.cuda.get_device_name()}, torch {torch.__version__}.\n"
+    publish(page, given.report)
     return 0
 
 

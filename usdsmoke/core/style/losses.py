@@ -27,7 +27,7 @@ from torch import Tensor
 
 from usdsmoke.base.sections import LossesConfig
 from usdsmoke.core.smoke.memory import accumulate
-from usdsmoke.core.smoke.replay import Replay
+from usdsmoke.core.smoke.replay import Replay, enlarged
 from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
 from usdsmoke.core.style.features import Network, independent_layers
@@ -158,6 +158,7 @@ class StyleTarget:
         if guide is None or picture.device.type == "cpu":
             return self._sum(picture, guide, draw)
         number = torch.full((), draw, device=picture.device)
+        picture, guide = enlarged(picture, guide)
         if picture.shape not in self._replays:
             self._replays[picture.shape] = Replay(self._sum, picture, guide, number)
         return self._replays[picture.shape](picture, guide, number)

@@ -74,6 +74,9 @@ class _Sliced(torch.autograd.Function):
         ctx.kept, ctx.n_samples = kept, values.shape[1]
         # samples by channels, as the maps lie in memory
         samples = axes @ (values if kept is None else values.T.index_select(0, kept).T)
+        if values.device.type != "cpu":  # those of weight 0 lie within the others
+            middle = torch.where(share > 0, samples, 0) @ share
+            samples = torch.where(share > 0, samples, middle[:, None])
         if samples.numel() == 0:
             ctx.save_for_backward(axes, samples)
             return values.new_zeros(())
@@ -108,8 +111,6 @@ def _shares(values: Tensor, weights: Tensor | None) -> tuple[Tensor | None, Tens
 
 def _match(samples: Tensor, share: Tensor, table: Tensor, n_bins: int) -> Tensor:
     """What each sample [D P] is matched with, q(F(x))."""
-    if samples.device.type != "cpu":  # those of weight 0 lie within the others
-        samples = torch.where(share > 0, samples, samples @ share[:, None])
     # ten times as fast as ``aminmax`` along an axis
     low, high = samples.amin(dim=1, keepdim=True), samples.amax(dim=1, keepdim=True)
     width = (high - low).clamp_min(torch.finfo(samples.dtype).tiny) / n_bins
