@@ -129,6 +129,7 @@ def _measure(name: str, n_voxels: int, device: str, run: Callable[[], float | No
         if on_gpu:
             torch.cuda.synchronize()
         spent.append(time.perf_counter() - begin)
+        print(f"{device}, {name}: {spent[-1]:.2f} s", file=sys.stderr, flush=True)
     gib = torch.cuda.max_memory_allocated() / 2**30 if on_gpu else 0.0
     return Way(name, n_voxels, (spent[0], spent[-1]), loss, gib)
 
@@ -141,12 +142,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--iterations", type=int, nargs="+", help="from noise, per octave")
     parser.add_argument("--report", type=Path, help="write the page here")
     given = parser.parse_args(arguments)
-    devices = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
-    lines, first = [], None
-    for device in devices:
-        ways, colours = measure_device(given.box, given.views, device, given.iterations)
-        first = colours if first is None else first
-        apart = float(np.abs(colours - first).max())
+    devices = [*(["cuda"] if torch.cuda.is_available() else []), "cpu"]
+    measured = {
+        device: measure_device(given.box, given.views, device, given.iterations)
+        for device in devices
+    }
+    lines = []
+    for device, (ways, colours) in measured.items():
+        apart = float(np.abs(colours - measured["cpu"][1]).max())
         for way in ways:
             cells = [
                 device, f"{way.voxels:,}", way.name, *(f"{s:.2f}" for s in way.seconds),
@@ -154,7 +157,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 f"{apart:.1e}" if way.name == "network" else "",
             ]  # fmt: skip
             lines.append(f"| {' | '.join(cells)} |")
-            print(lines[-1], file=sys.stderr, flush=True)
     if devices == ["cpu"]:
         print("no CUDA device: only the processor was measured", file=sys.stderr)
     columns = [

@@ -19,6 +19,7 @@ from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence import frame_state
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.smoke import replay
+from usdsmoke.core.style import convolve
 from usdsmoke.core.style.features import EmbeddedFeatures
 from usdsmoke.core.style.losses import StyleTarget
 from usdsmoke.core.style.nearest import nearest_distance
@@ -49,8 +50,14 @@ Elsewhere = Callable[[Callable[[], list[np.ndarray]]], list[np.ndarray]]
     ],
     ids=str,
 )
-def device(request: pytest.FixtureRequest) -> torch.device:
-    """Where it is not the processor that computes."""
+def device(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> torch.device:
+    """Where it is not the processor that computes. Neither rounds, and pictures stay as they are.
+
+    The processor's slopes in bfloat16 are off by half a percent, cuDNN's convolutions by less.
+    """
+    monkeypatch.setattr(convolve, "multiplies_bfloat16", lambda: False)
+    monkeypatch.setattr(torch.backends.cudnn, "enabled", False)  # as ``choose_device`` does
+    monkeypatch.setattr(replay, "SIDE", 1)
     return request.param
 
 
@@ -60,7 +67,6 @@ def elsewhere(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> Elsewher
 
     def run(compute: Callable[[], list[np.ndarray]]) -> list[np.ndarray]:
         monkeypatch.setattr(frame_state, "choose_device", lambda config: device)
-        monkeypatch.setattr(replay, "SIDE", 1)  # pictures stay as they are
         with foreign_device() if device == FOREIGN else nullcontext():
             return compute()
 
@@ -70,7 +76,7 @@ def elsewhere(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> Elsewher
 def assert_about_equal(found: list[np.ndarray], expected: list[np.ndarray]) -> None:
     """Sums of single precision are taken in another order, which an optimiser's steps magnify."""
     for values, wanted in zip(found, expected, strict=True):
-        assert np.linalg.norm(values - wanted) <= 0.01 * np.linalg.norm(wanted)
+        assert np.linalg.norm(values - wanted) <= 1e-3 * np.linalg.norm(wanted)
 
 
 @pytest.mark.parametrize("step", ["shape", "colour"])
@@ -132,30 +138,38 @@ def test_statistics_are_those_of_the_processor(
     assert all(np.all(one == 0) for one in expected)
 
 
-def test_what_is_recorded_waits_for_no_number() -> None:
+def test_what_is_recorded_waits_for_no_number(
+    device: torch.device, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A GPU can record a style's loss: nothing in it is read, or moved from the processor.
 
-    Its pictures are enlarged, which changes nothing where they end in background.
+    Its pictures are enlarged, which changes nothing where they end in background. One recording
+    serves pictures in turn.
     """
-    config = LossesConfig(histogram=1.0)
-    style, picture = torch.tensor(STYLE), torch.full((56, 56, 3), 0.4)
-    guide = torch.zeros(56, 56)
-    picture[20:36, 20:36], guide[20:36, 20:36] = torch.rand(16, 16, 3), 0.9
+    monkeypatch.setattr(replay, "SIDE", 64)
+    config, style = LossesConfig(histogram=1.0), torch.tensor(STYLE)
+    pictures, guide = torch.full((3, 56, 56, 3), 0.4), torch.zeros(56, 56)
+    pictures[:2, 20:36, 20:36], guide[20:36, 20:36] = torch.rand(2, 16, 16, 3), 0.9
+    pictures[2] = pictures[0]
 
-    def loss_on(device: torch.device) -> tuple[float, torch.Tensor]:
-        like = style.to(device)
-        network = EmbeddedFeatures(like)
+    def losses_on(where: torch.device) -> list[np.ndarray]:
+        like = style.to(where)
         layers = dict.fromkeys(("oriented1", "learned0", "learned2"), 1.0)
+        network = EmbeddedFeatures(like)
         target = StyleTarget(like, network, layers, config, nearest_layers=["learned2"])
-        leaf = picture.to(device).requires_grad_()
-        loss = target.loss(leaf, guide.to(device), 5)
-        return float(loss.detach()), torch.autograd.grad(loss, leaf)[0].cpu()
+        found = []
+        for picture in pictures:
+            leaf = picture.to(where).requires_grad_()
+            loss = target.loss(leaf, guide.to(where), 5)
+            found += [loss.detach(), torch.autograd.grad(loss, leaf)[0]]
+        return [one.cpu().numpy() for one in found]
 
-    expected, slope = loss_on(torch.device("cpu"))
-    with foreign_device():
-        found, there = loss_on(FOREIGN)
-    assert found == pytest.approx(expected, rel=1e-4)
-    assert float((there - slope).norm() / slope.norm()) < 1e-2
+    expected = losses_on(torch.device("cpu"))
+    with foreign_device() if device == FOREIGN else nullcontext():
+        found = losses_on(device)
+    assert_about_equal(found, expected)
+    assert np.array_equal(found[0], found[4]) and np.array_equal(found[1], found[5])
+    assert not np.array_equal(found[0], found[2])
 
 
 def test_what_mixes_devices_is_found() -> None:

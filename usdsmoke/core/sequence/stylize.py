@@ -75,7 +75,7 @@ def stylize_window(
     The first frame starts from the shared coarse step or, without one, from noise; each later one
     starts from its neighbour's result, carried along by the velocity, with
     ``windows.warm_iterations`` of the iterations. Equal inputs and settings give equal bits on the
-    same machine; on a GPU sums may differ in their last digits.
+    same machine.
 
     A frame's own ``controls`` replace the settings. A frame of strength 0 is the source bit for
     bit; it is computed nevertheless if the frame before or after it takes effect, so that a fade

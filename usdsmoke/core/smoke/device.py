@@ -38,8 +38,7 @@ def choose_device(config: OptimizeConfig) -> torch.device:
             f"Use one of auto, {', '.join(available)}."
         )
     share_among(config.threads or usable_cpus())
-    # torch's own convolutions take half the time here, a third with the first picture of a size,
-    # and sum in a fixed order (decision 067)
+    # cuDNN's convolutions take as long, more with the first picture of a size (decision 067)
     torch.backends.cudnn.enabled = False
     return device
 

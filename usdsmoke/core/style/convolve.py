@@ -67,7 +67,7 @@ class Filters:
                 kernel[:, a, b, :, a : a + size, b : b + size] = turned
         kernel = kernel.flatten(0, 2).contiguous(memory_format=torch.channels_last)
         is_single = kernel.dtype == torch.float32 and kernel.device.type == "cpu"
-        is_rounded = is_single and _multiplies_bfloat16()
+        is_rounded = is_single and multiplies_bfloat16()
         return side, kernel.bfloat16() if is_rounded else kernel
 
 
@@ -151,7 +151,7 @@ class _Convolved(torch.autograd.Function):
         return ctx.filters.slope(upstream, *ctx.sides), None
 
 
-def _multiplies_bfloat16() -> bool:
+def multiplies_bfloat16() -> bool:
     """Whether the processor has instructions for these products; without them it is slower."""
     known = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
     return known is not None and bool(known())
