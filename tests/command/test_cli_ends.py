@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot
 from usdsmoke.ui.cli.main import main
@@ -73,6 +74,24 @@ def test_an_unexpected_error_is_named_without_a_traceback(
     err = capsys.readouterr().err
     assert "unexpected IndexError: list index out of range" in err and "--verbose" in err
     assert "Traceback" not in err
+    assert not shot.output.exists()
+
+
+@pytest.mark.parametrize(
+    ("error", "place"),
+    [(MemoryError(), "out of memory."), (torch.cuda.OutOfMemoryError("CUDA"), "memory on the GPU.")],
+)
+def test_an_error_of_memory_says_what_to_lower(
+    shot: Shot, core: FakeCore, capsys: pytest.CaptureFixture[str], error: Exception, place: str
+) -> None:
+    def fail(time_code: float) -> None:
+        raise error
+
+    core.before_frame = fail
+    assert main(shot.arguments()) == 1
+    err = capsys.readouterr().err
+    assert place in err and "views.pool" in err and "unexpected" not in err
+    assert ("optimize.device=cpu" in err) == ("GPU" in place)
     assert not shot.output.exists()
 
 

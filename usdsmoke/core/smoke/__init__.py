@@ -5,6 +5,7 @@
 - ``levels``: what counts as ordinary density, whatever the densest voxels hold
 - ``memory``: long tensors in chunks, lazy lists, sums whose graph is freed term by term
 - ``noise``: white noise as a function of voxel, channel and seed
+- ``replay``: losses that a GPU records once and computes again and again
 - ``schedule``: iterations of each octave, number of views; without torch
 - ``spread``: colours for voxels of which too little is known, from those around them
 - ``srgb``: colour spaces

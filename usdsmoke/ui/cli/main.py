@@ -23,6 +23,7 @@ from types import FrameType
 from usdsmoke.base.errors import Interrupted, UsdSmokeError
 from usdsmoke.base.machine import check_packages, missing_package, prepare_numpy_environment
 
+_LOWER = "Lower views.pool, views.image_size or grids.refine"
 _BROKEN_PIPE = 128 + 13
 
 
@@ -136,7 +137,9 @@ def _report(error: BaseException, arguments: argparse.Namespace) -> None:
     if isinstance(error, KeyboardInterrupt):
         kind, message = Interrupted.__name__, "stopped. No incomplete files are left"
     elif isinstance(error, MemoryError):
-        message = "out of memory. Lower views.pool, views.image_size or grids.refine."
+        message = f"out of memory. {_LOWER}."
+    elif kind == "OutOfMemoryError":  # torch's
+        message = f"out of memory on the GPU. {_LOWER}, or set optimize.device=cpu."
     elif not isinstance(error, UsdSmokeError):
         message = f"unexpected {kind}: {message}. Run with --verbose to see where, and report it."
     print(f"usdsmoke: {message}", file=sys.stderr)
