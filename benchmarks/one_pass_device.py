@@ -40,9 +40,9 @@ _INTRO = (
     "# A frame on each device",
     "",
     "The colour step on a plume, from noise by the default iterations, and behind a network that",
-    "is not trained; and a whole frame, both steps, of a quarter as many voxels. Wall seconds of",
-    "the first run of the process, in which a GPU loads its code and records the losses, and of",
-    "the second. The loss is that of the last iterations of the colour step.",
+    "is not trained; and a whole frame, both steps, of a quarter as many voxels. Wall seconds; on",
+    "a GPU also of a second run, as it loads code and records losses when it first uses them. A",
+    "whole frame records them anew. The loss is that of the last iterations of the colour step.",
 )
 
 
@@ -52,7 +52,7 @@ class Way:
 
     name: str
     voxels: int
-    seconds: tuple[float, float]  # of the first and the second run
+    seconds: tuple[float, ...]  # of the first and, on a GPU, the second run
     loss: float | None  # smoothed, of the colour step's last octave; None: there is none
     gib: float  # of a GPU's memory, at most
 
@@ -82,6 +82,9 @@ def measure_device(
     def paint() -> torch.Tensor:
         return generator.paint(problem.smoke, scene.gamma_w, 0)
 
+    def paint_alone() -> None:
+        paint()
+
     def from_noise() -> float:
         return run_colour_step(problem, octaves)[1][-1].smoothed
 
@@ -89,7 +92,7 @@ def measure_device(
         return refine_painted(problem, behind, paint())[1][-1].smoothed
 
     ways = [
-        _measure("network", n_voxels, device, lambda: (paint(), None)[1]),
+        _measure("network", n_voxels, device, paint_alone),
         _measure(f"network + {AFTER}", n_voxels, device, refine),
         _measure(f"noise, {sum(octaves)} iterations", n_voxels, device, from_noise),
         _whole_frame([round(FRAME * n) for n in box], device, iterations),
@@ -130,8 +133,8 @@ def _measure(name: str, n_voxels: int, device: str, run: Callable[[], float | No
             torch.cuda.synchronize()
         spent.append(time.perf_counter() - begin)
         print(f"{device}, {name}: {spent[-1]:.2f} s", file=sys.stderr, flush=True)
-    gib = torch.cuda.max_memory_allocated() / 2**30 if on_gpu else 0.0
-    return Way(name, n_voxels, (spent[0], spent[-1]), loss, gib)
+    gib = torch.cuda.max_memory_reserved() / 2**30 if on_gpu else 0.0
+    return Way(name, n_voxels, tuple(spent), loss, gib)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -151,8 +154,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for device, (ways, colours) in measured.items():
         apart = float(np.abs(colours - measured["cpu"][1]).max())
         for way in ways:
+            seconds = [*(f"{s:.2f}" for s in way.seconds), ""][:2]
             cells = [
-                device, f"{way.voxels:,}", way.name, *(f"{s:.2f}" for s in way.seconds),
+                device, f"{way.voxels:,}", way.name, *seconds,
                 "" if way.loss is None else f"{way.loss:.3f}", f"{way.gib:.1f}",
                 f"{apart:.1e}" if way.name == "network" else "",
             ]  # fmt: skip

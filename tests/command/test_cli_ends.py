@@ -79,7 +79,10 @@ def test_an_unexpected_error_is_named_without_a_traceback(
 
 @pytest.mark.parametrize(
     ("error", "place"),
-    [(MemoryError(), "out of memory."), (torch.cuda.OutOfMemoryError("CUDA"), "memory on the GPU.")],
+    [
+        (MemoryError(), "out of memory."),
+        (torch.cuda.OutOfMemoryError("CUDA"), "memory on the GPU."),
+    ],
 )
 def test_an_error_of_memory_says_what_to_lower(
     shot: Shot, core: FakeCore, capsys: pytest.CaptureFixture[str], error: Exception, place: str

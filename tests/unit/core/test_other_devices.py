@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.fixtures.foreign_device import FOREIGN, foreign_device
+from tests.fixtures.foreign_device import FOREIGN, NoReplay, foreign_device
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.sections import LossesConfig
@@ -19,12 +19,14 @@ from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence import frame_state
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.smoke import replay
+from usdsmoke.core.smoke.replay import enlarged
 from usdsmoke.core.style import convolve
-from usdsmoke.core.style.features import EmbeddedFeatures
+from usdsmoke.core.style.features import EmbeddedFeatures, Network
 from usdsmoke.core.style.losses import StyleTarget
 from usdsmoke.core.style.nearest import nearest_distance
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 from usdsmoke.core.style.sliced import sliced_distance
+from usdsmoke.core.style.vgg19 import Vgg19Features
 from usdsmoke.core.training.canvas import Canvas
 
 FRAMES = [frame_of(puff(8, seed), seed + 1.0) for seed in range(2)]
@@ -138,8 +140,24 @@ def test_statistics_are_those_of_the_processor(
     assert all(np.all(one == 0) for one in expected)
 
 
+def vgg19(style: torch.Tensor) -> Vgg19Features:
+    """Of the right shape, without a file."""
+    source = torch.Generator().manual_seed(0)
+    shapes = {"relu1_1": (3, 64), "relu1_2": (64, 64), "relu2_1": (64, 128)}
+    weights = {
+        name: (torch.randn(n_out, n_in, 3, 3, generator=source) / 20, torch.zeros(n_out))
+        for name, (n_in, n_out) in shapes.items()
+    }
+    return Vgg19Features(weights).to(style)
+
+
+@pytest.mark.parametrize("make", [EmbeddedFeatures, vgg19])
+@pytest.mark.parametrize("statistic", ["sliced_wasserstein", "gram"])
 def test_what_is_recorded_waits_for_no_number(
-    device: torch.device, monkeypatch: pytest.MonkeyPatch
+    make: Callable[[torch.Tensor], Network],
+    statistic: str,
+    device: torch.device,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A GPU can record a style's loss: nothing in it is read, or moved from the processor.
 
@@ -147,16 +165,18 @@ def test_what_is_recorded_waits_for_no_number(
     serves pictures in turn.
     """
     monkeypatch.setattr(replay, "SIDE", 64)
-    config, style = LossesConfig(histogram=1.0), torch.tensor(STYLE)
+    config, style = LossesConfig(histogram=1.0, statistic=statistic), torch.tensor(STYLE)
     pictures, guide = torch.full((3, 56, 56, 3), 0.4), torch.zeros(56, 56)
-    pictures[:2, 20:36, 20:36], guide[20:36, 20:36] = torch.rand(2, 16, 16, 3), 0.9
-    pictures[2] = pictures[0]
+    source = torch.Generator().manual_seed(0)
+    pictures[:2, 20:36, 20:36] = torch.rand(2, 16, 16, 3, generator=source)
+    pictures[2], guide[20:36, 20:36] = pictures[0], 0.9
+    names = ["relu1_1", "relu2_1"] if make is vgg19 else ["oriented1", "learned0", "learned2"]
 
     def losses_on(where: torch.device) -> list[np.ndarray]:
         like = style.to(where)
-        layers = dict.fromkeys(("oriented1", "learned0", "learned2"), 1.0)
-        network = EmbeddedFeatures(like)
-        target = StyleTarget(like, network, layers, config, nearest_layers=["learned2"])
+        target = StyleTarget(
+            like, make(like), dict.fromkeys(names, 1.0), config, nearest_layers=names[-1:]
+        )
         found = []
         for picture in pictures:
             leaf = picture.to(where).requires_grad_()
@@ -170,6 +190,54 @@ def test_what_is_recorded_waits_for_no_number(
     assert_about_equal(found, expected)
     assert np.array_equal(found[0], found[4]) and np.array_equal(found[1], found[5])
     assert not np.array_equal(found[0], found[2])
+
+
+@pytest.mark.parametrize(
+    "wait",
+    [
+        lambda values: float(values[0]),
+        lambda values: values.nonzero(),
+        lambda values: values[values > 0],
+        lambda values: values.cpu(),
+        lambda values: values.tolist(),
+        lambda values: values + values.new_tensor([1.0, 2.0]),
+        lambda values: values + torch.tensor([1.0, 2.0], device=FOREIGN),
+        lambda values: torch.equal(values, values),
+    ],
+)
+def test_what_waits_in_a_recording_is_found(wait: Callable[[torch.Tensor], object]) -> None:
+    """Also in the slope's part."""
+    told = []
+
+    class Waiting(torch.autograd.Function):
+        @staticmethod
+        def forward(ctx, values):
+            return values.sum()
+
+        @staticmethod
+        def backward(ctx, upstream):
+            if told:
+                wait(upstream.expand(2).clone())
+            return upstream.expand(2)
+
+    with foreign_device():
+        values = torch.tensor([1.0, 2.0], device=FOREIGN)
+        recorded = NoReplay(Waiting.apply, values)
+        told.append(True)
+        with pytest.raises(RuntimeError, match="waits"):
+            recorded(values)
+
+
+def test_an_enlarged_picture_has_the_slope_of_its_repeated_border(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(replay, "SIDE", 8)
+    picture = torch.rand(5, 7, 3, dtype=torch.float64, requires_grad=True)
+    wide, guide = enlarged(picture, torch.ones(5, 7))
+    assert wide.shape == (8, 8, 3) and guide.shape == (8, 8) and guide.sum() == 35
+    assert torch.equal(wide[5:, :7], picture[4:].expand(3, 7, 3))
+    assert torch.equal(wide[:5, 7], picture[:, 6])
+    assert torch.autograd.gradcheck(lambda p: enlarged(p, torch.ones(5, 7))[0], picture)
 
 
 def test_what_mixes_devices_is_found() -> None:

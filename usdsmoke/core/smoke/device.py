@@ -1,4 +1,4 @@
-"""The device on which the core computes, and determinism."""
+"""The device on which the core computes, and what decides the bits of results."""
 
 import os
 import platform
@@ -24,7 +24,8 @@ class Machine:
 
 
 def choose_device(config: OptimizeConfig) -> torch.device:
-    """The configured device, with threads and determinism set for the process.
+    """The configured device. Sets the number of threads, and that convolutions leave cuDNN out,
+    for the whole process.
 
     Raises:
         ConfigError: the device is unknown here; the message lists those there are.

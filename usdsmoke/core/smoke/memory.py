@@ -29,8 +29,7 @@ def chunks(n: int, size: int, device: torch.device) -> Iterator[slice]:
 def run_on(device: torch.device, tasks: Sequence[Callable[[], Item]]) -> list[Item]:
     """What tasks return, in their order; threads share them, but not on a GPU.
 
-    There Python only queues the work, and its threads wait for each other: nine views took 1.7
-    times as long with 16 threads as with one (decision 067).
+    There Python only queues the work, and its threads wait for each other (decision 067).
     """
     return run_tasks(tasks) if device.type == "cpu" else [task() for task in tasks]
 

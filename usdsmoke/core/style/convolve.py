@@ -72,10 +72,18 @@ class Filters:
 
 
 def padded(maps: Tensor, border: int) -> Tensor:
-    """Feature maps [1 C H W] with replicated borders."""
-    if maps.device.type != "cpu":
-        return cast(Tensor, _Padded.apply(maps, border))
-    return _pad(maps, border)
+    """Feature maps [1 C H W] with replicated borders, channels last."""
+    return replicated(maps, border).contiguous(memory_format=torch.channels_last)
+
+
+def replicated(maps: Tensor, border: int) -> Tensor:
+    """Feature maps [1 C H W] with replicated borders.
+
+    Gradients: through ``maps``; summed in a fixed order, which torch's own are not on a GPU.
+    """
+    if maps.device.type == "cpu":
+        return F.pad(maps, (border,) * 4, mode="replicate")
+    return cast(Tensor, _Padded.apply(maps, border))
 
 
 def unpadded(slope: Tensor, border: int) -> Tensor:
@@ -119,18 +127,11 @@ def _widened(maps: Tensor, below: int, beside: int, like: Tensor) -> Tensor:
     return wide
 
 
-def _pad(maps: Tensor, border: int) -> Tensor:
-    wide = F.pad(maps, (border,) * 4, mode="replicate")
-    return wide.contiguous(memory_format=torch.channels_last)
-
-
 class _Padded(torch.autograd.Function):
-    """Torch's own slope adds up in any order on a GPU."""
-
     @staticmethod
     def forward(ctx: Any, maps: Tensor, border: int) -> Tensor:
         ctx.border = border
-        return _pad(maps, border)
+        return F.pad(maps, (border,) * 4, mode="replicate")
 
     @staticmethod
     @once_differentiable

@@ -143,7 +143,8 @@ class StyleTarget:
         with torch.no_grad():
             maps = network(style, frozenset(self._weights))
             self._layers = {name: _LayerTarget(maps[name], seed) for name in self._weights}
-        self._replays: dict[torch.Size, Replay] = {}  # on a GPU, by the pictures' shape
+        # on a GPU, by shape and type of the pictures
+        self._replays: dict[tuple[torch.Size, torch.dtype], Replay] = {}
 
     def loss(self, picture: Tensor, guide: Tensor | None, draw: int = 0) -> Tensor:
         """Weighted sum over the style layers; scalar, (nearly) 0 for the style itself.
@@ -159,9 +160,12 @@ class StyleTarget:
             return self._sum(picture, guide, draw)
         number = torch.full((), draw, device=picture.device)
         picture, guide = enlarged(picture, guide)
-        if picture.shape not in self._replays:
-            self._replays[picture.shape] = Replay(self._sum, picture, guide, number)
-        return self._replays[picture.shape](picture, guide, number)
+        key = (picture.shape, picture.dtype)
+        if key not in self._replays:
+            if not picture.requires_grad:  # seen once
+                return self._sum(picture, guide, number)
+            self._replays[key] = Replay(self._sum, picture, guide, number)
+        return self._replays[key](picture, guide, number)
 
     def _sum(self, picture: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
         groups = independent_layers(self._network, frozenset(self._weights))

@@ -146,9 +146,9 @@ def weight_share(weights: Tensor, like: Tensor) -> Tensor:
 
     All are 0 where no weight is left.
     """
-    tiny = torch.finfo(like.dtype).tiny
-    scaled = (weights.detach() / weights.max().clamp_min(tiny)).to(like)
-    return scaled / scaled.sum().clamp_min(tiny)
+    least = torch.finfo(weights.dtype).tiny
+    scaled = (weights.detach() / weights.max().clamp_min(least)).to(like)
+    return scaled / scaled.sum().clamp_min(torch.finfo(like.dtype).tiny)
 
 
 def _ascending(values: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from usdsmoke.core.style.quantiles import (
 )
 
 N_BINS = 512  # of a direction, over the range of its samples
-WHOLE = 2**40  # parts of the weight
+WHOLE = 2**40  # parts of all weight, of which each sample has a whole number on a GPU
 FEWEST_PER_BIN = 4  # samples; fewer are sorted, which is as fast, as bins would blur their ranks
 
 
@@ -136,7 +136,7 @@ def _count(number: Tensor, share: Tensor, n: int) -> Tensor:
     # a GPU adds up in any order, which sums of whole numbers do not show
     whole = (share.double() * WHOLE).long().repeat(len(number) // len(share))
     counted = torch.zeros(n, dtype=torch.int64, device=number.device)
-    return counted.index_add_(0, number, whole) / float(WHOLE)
+    return counted.index_add_(0, number, whole).double() / WHOLE
 
 
 def _quantiles_at(table: Tensor, share: Tensor) -> Tensor:

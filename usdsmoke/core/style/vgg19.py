@@ -14,6 +14,7 @@ from torch import Tensor
 
 from usdsmoke.base.errors import FeatureError
 from usdsmoke.base.record_format import hash_stream
+from usdsmoke.core.style.convolve import replicated
 from usdsmoke.core.style.layers import VGG19_BLOCKS, VGG19_FILE_NAME, find_vgg19_file, vgg19_layers
 from usdsmoke.core.style.safetensors import read_safetensors
 
@@ -76,6 +77,8 @@ class Vgg19Features:
 
     def __init__(self, parameters: dict[str, tuple[Tensor, Tensor]]) -> None:
         self._parameters = parameters
+        like = parameters[self.names[0]][0]
+        self._mean, self._deviation = like.new_tensor(_MEAN), like.new_tensor(_DEVIATION)
 
     @classmethod
     def from_file(cls, configured: str = "") -> "Vgg19Features":
@@ -116,17 +119,14 @@ class Vgg19Features:
 
         Gradients: through ``picture``.
         """
-        mean, deviation = (picture.new_tensor(v) for v in (_MEAN, _DEVIATION))
-        maps = ((picture - mean) / deviation).permute(2, 0, 1)[None]
+        maps = ((picture - self._mean) / self._deviation).permute(2, 0, 1)[None]
         found: dict[str, Tensor] = {}
         for name in self.names:
             if len(found) == len(requested):
                 break
             if name.endswith("_1") and name != "relu1_1":
                 maps = F.max_pool2d(maps, 2, ceil_mode=True)
-            maps = torch.relu(
-                F.conv2d(F.pad(maps, (1, 1, 1, 1), mode="replicate"), *self._parameters[name])
-            )
+            maps = torch.relu(F.conv2d(replicated(maps, 1), *self._parameters[name]))
             if name in requested:
                 found[name] = maps
         return found
