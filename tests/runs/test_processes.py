@@ -12,7 +12,9 @@ from types import SimpleNamespace
 import pytest
 
 from tests.fixtures.pipeline_fixtures import Shot, contents, make_shot
+from usdsmoke.base import machine
 from usdsmoke.base.errors import ClusterError, Interrupted, NonFiniteError, PlanError
+from usdsmoke.base.settings import Config
 from usdsmoke.farm import processes
 from usdsmoke.pipeline import Request
 from usdsmoke.runs.progress import RunProgress
@@ -125,8 +127,39 @@ def test_a_long_run_takes_as_many_processes_as_pay(
     monkeypatch.setattr(processes, "available_memory_gib", lambda: 8.0)
     monkeypatch.setattr(processes, "usable_cpus", lambda: cpus)
     estimate = SimpleNamespace(seconds=seconds, memory_gib=gib)
-    plan = SimpleNamespace(tasks=[None] * windows, estimate=estimate)
+    monkeypatch.setattr(processes, "seems_to_have_gpu", lambda: False)
+    plan = SimpleNamespace(tasks=[None] * windows, estimate=estimate, config=Config())
     assert processes.choose_jobs(plan) == jobs
+
+
+@pytest.mark.parametrize(("device", "jobs"), [("auto", 1), ("cuda:1", 1), ("cpu", 4)])
+def test_a_gpu_is_used_by_one_process(monkeypatch, device: str, jobs: int) -> None:
+    monkeypatch.setattr(processes, "available_memory_gib", lambda: 8.0)
+    monkeypatch.setattr(processes, "usable_cpus", lambda: 4)
+    monkeypatch.setattr(processes, "seems_to_have_gpu", lambda: True)
+    estimate = SimpleNamespace(seconds=600.0, memory_gib=1.0)
+    config = Config().with_values({"optimize.device": device})
+    plan = SimpleNamespace(tasks=[None] * 5, estimate=estimate, config=config)
+    assert processes.choose_jobs(plan) == jobs
+
+
+@pytest.mark.parametrize(
+    ("version", "nodes", "seems"),
+    [
+        ("2.13.0+cu130", ["nvidia0", "nvidiactl"], True),
+        ("2.13.0", ["kfd"], True),
+        ("2.13.0+cpu", ["nvidia0"], False),
+        ("2.13.0", ["nvidiactl", "null"], False),
+    ],
+)
+def test_a_gpu_is_guessed_without_torch(
+    monkeypatch, tmp_path: Path, version: str, nodes: list[str], seems: bool
+) -> None:
+    for node in nodes:
+        (tmp_path / node).touch()
+    monkeypatch.setattr(machine, "_DEVICES", tmp_path)
+    monkeypatch.setattr(machine, "package_versions", lambda: {"torch": version})
+    assert machine.seems_to_have_gpu() == seems
 
 
 def test_a_process_uses_no_more_processors_than_its_share() -> None:

@@ -18,6 +18,7 @@ from usdsmoke.base.errors import MissingPackage
 
 GIB = 2**30
 
+_DEVICES = Path("/dev")
 _PACKAGES = ("usd-core", "torch", "numpy")
 _INSTALL = {  # module: what to do if it is missing
     "numpy": "pip install numpy",
@@ -116,6 +117,13 @@ def package_versions() -> dict[str, str]:
         except PackageNotFoundError:  # a USD or torch of another origin, without a wheel's record
             versions[name] = "unknown"
     return versions
+
+
+def seems_to_have_gpu() -> bool:
+    """Whether torch, which takes seconds to load, may find a GPU."""
+    nodes = ("nvidia[0-9]*", "dxg", "kfd")
+    version = package_versions().get("torch", "")
+    return not version.endswith("+cpu") and any(list(_DEVICES.glob(node)) for node in nodes)
 
 
 def platform_name() -> str:

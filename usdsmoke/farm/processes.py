@@ -13,7 +13,12 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 
 from usdsmoke.base.errors import ClusterError, Interrupted, PlanError, UsdSmokeError
-from usdsmoke.base.machine import available_memory_gib, limit_cpus, usable_cpus
+from usdsmoke.base.machine import (
+    available_memory_gib,
+    limit_cpus,
+    seems_to_have_gpu,
+    usable_cpus,
+)
 from usdsmoke.farm.tasks import Tasks, divide_job
 from usdsmoke.pipeline import (
     Request,
@@ -34,9 +39,12 @@ _END_S = 20.0  # for a process to tidy up after it was stopped
 def choose_jobs(plan: Plan) -> int:
     """Processes that compute a plan's windows: as many as processors and memory allow.
 
-    A short run is done by one: every process loads torch and learns the style's features.
+    A short run is done by one: every process loads torch and learns the style's features. So is a
+    run on a GPU, whose memory the plan does not know.
     """
-    if plan.estimate.seconds < SHORT_S:
+    device = plan.config.optimize.device
+    on_gpu = device.startswith("cuda") or (device == "auto" and seems_to_have_gpu())
+    if plan.estimate.seconds < SHORT_S or on_gpu:
         return 1
     by_memory = int(available_memory_gib() / plan.estimate.memory_gib)
     return max(1, min(len(plan.tasks), usable_cpus(), by_memory))

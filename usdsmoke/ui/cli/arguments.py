@@ -108,7 +108,7 @@ def _add_stylize(commands: Any) -> None:
         type=count_value,
         metavar="N",
         help="compute N windows at once, in processes of this machine; the result is the same "
-        "(default: as many as cores and memory allow)",
+        "(default: as many as cores and memory allow; on a GPU 1)",
     )
     parser.add_argument(
         "--dry-run", action="store_true", help="print the plan and its cost; write nothing"
