@@ -166,6 +166,7 @@ def _config(longest: int) -> Config:
     return resolve_config(
         {
             "views": {"image_size": min(max(16, longest), LARGEST)},
+            "optics": {"thicken": 1.0},  # the smoke as it is, which the judge sees
             "optimize": {"threads": 1, "tolerance": 0.0, "device": "cpu", "steps": ["colour"]},
         }
     )
