@@ -112,34 +112,28 @@ def test_side_by_side_gives_the_bits_of_one_after_the_other(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("windows", "seconds", "gib", "cpus", "jobs"),
+    ("windows", "seconds", "gib", "cpus", "device", "gpu", "jobs"),
     [
-        (5, 600.0, 1.0, 4, 4),  # as many as processors
-        (3, 600.0, 1.0, 8, 3),  # as windows
-        (5, 600.0, 3.0, 8, 2),  # as memory allows
-        (5, 600.0, 30.0, 8, 1),
-        (5, 20.0, 1.0, 8, 1),  # a short run
+        (5, 600.0, 1.0, 4, "auto", False, 4),  # as many as processors
+        (3, 600.0, 1.0, 8, "auto", False, 3),  # as windows
+        (5, 600.0, 3.0, 8, "auto", False, 2),  # as memory allows
+        (5, 600.0, 30.0, 8, "auto", False, 1),
+        (5, 20.0, 1.0, 8, "auto", False, 1),  # a short run
+        (5, 600.0, 1.0, 4, "auto", True, 1),  # a GPU is used by one
+        (5, 600.0, 1.0, 4, "cuda:1", True, 1),
+        (5, 600.0, 1.0, 4, "cpu", True, 4),
     ],
 )
 def test_a_long_run_takes_as_many_processes_as_pay(
-    monkeypatch, windows: int, seconds: float, gib: float, cpus: int, jobs: int
-) -> None:
+    monkeypatch, windows: int, seconds: float, gib: float, cpus: int, device: str, gpu: bool,
+    jobs: int,
+) -> None:  # fmt: skip
     monkeypatch.setattr(processes, "available_memory_gib", lambda: 8.0)
     monkeypatch.setattr(processes, "usable_cpus", lambda: cpus)
+    monkeypatch.setattr(processes, "seems_to_have_gpu", lambda: gpu)
     estimate = SimpleNamespace(seconds=seconds, memory_gib=gib)
-    monkeypatch.setattr(processes, "seems_to_have_gpu", lambda: False)
-    plan = SimpleNamespace(tasks=[None] * windows, estimate=estimate, config=Config())
-    assert processes.choose_jobs(plan) == jobs
-
-
-@pytest.mark.parametrize(("device", "jobs"), [("auto", 1), ("cuda:1", 1), ("cpu", 4)])
-def test_a_gpu_is_used_by_one_process(monkeypatch, device: str, jobs: int) -> None:
-    monkeypatch.setattr(processes, "available_memory_gib", lambda: 8.0)
-    monkeypatch.setattr(processes, "usable_cpus", lambda: 4)
-    monkeypatch.setattr(processes, "seems_to_have_gpu", lambda: True)
-    estimate = SimpleNamespace(seconds=600.0, memory_gib=1.0)
     config = Config().with_values({"optimize.device": device})
-    plan = SimpleNamespace(tasks=[None] * 5, estimate=estimate, config=config)
+    plan = SimpleNamespace(tasks=[None] * windows, estimate=estimate, config=config)
     assert processes.choose_jobs(plan) == jobs
 
 

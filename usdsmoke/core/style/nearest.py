@@ -39,18 +39,8 @@ def nearest_distance(
 
     Gradients: through ``values``, with the choice of the nearest held.
     """
-    if weights is not None and weights.device.type != "cpu":
-        chosen, weights = _drawn(weights, draw)
-        values = values.T.index_select(0, chosen).T
-        square = (values - _nearest(values, style)).square().mean(0)
-        return (square * weights).sum() / weights.sum().clamp_min(torch.finfo(square.dtype).tiny)
-    if weights is None:
-        chosen = torch.arange(values.shape[1], device=values.device)
-    else:
-        chosen = (weights > LEAST_WEIGHT).nonzero().squeeze(1)
-    n_draws = max(-(-len(chosen) // MOST_LOOKED_UP), 1)
-    if n_draws > 1 or weights is not None:
-        chosen = chosen[draw % n_draws :: n_draws]
+    chosen, weights = _choose(values, weights, draw)
+    if chosen is not None:
         # rows, as features lie in memory, and as their slopes then do
         values = values.T.index_select(0, chosen).T
     if values.shape[1] == 0:
@@ -58,8 +48,24 @@ def nearest_distance(
     square = (values - _nearest(values, style)).square().mean(0)
     if weights is None:
         return square.mean()
-    weights = weights[chosen]
-    return (square * weights).sum() / weights.sum()
+    return (square * weights).sum() / weights.sum().clamp_min(torch.finfo(square.dtype).tiny)
+
+
+def _choose(
+    values: Tensor, weights: Tensor | None, draw: int | Tensor
+) -> tuple[Tensor | None, Tensor | None]:
+    """The features of a draw (None: all), and their weights."""
+    if weights is not None and weights.device.type != "cpu":
+        return _drawn(weights, draw)
+    if weights is None:
+        chosen = torch.arange(values.shape[1], device=values.device)
+    else:
+        chosen = (weights > LEAST_WEIGHT).nonzero().squeeze(1)
+    n_draws = max(-(-len(chosen) // MOST_LOOKED_UP), 1)
+    if weights is None and n_draws == 1:
+        return None, None
+    chosen = chosen[draw % n_draws :: n_draws]
+    return chosen, None if weights is None else weights[chosen]
 
 
 def _drawn(weights: Tensor, draw: int | Tensor) -> tuple[Tensor, Tensor]:

@@ -102,11 +102,10 @@ def _shares(values: Tensor, weights: Tensor | None) -> tuple[Tensor | None, Tens
     if weights.device.type != "cpu":
         return None, weight_share(weights, values)
     kept = (weights > 0).nonzero().squeeze(1)
-    scaled = weights.detach().index_select(0, kept).to(values)
-    if len(kept):  # scaled first, so that no size of weights is lost
-        scaled = scaled / scaled.max()
-        scaled = scaled / scaled.sum()
-    return (kept if len(kept) < len(weights) else None), scaled
+    if len(kept) == 0:
+        return kept, values.new_empty(0)
+    share = weight_share(weights.index_select(0, kept), values)
+    return (kept if len(kept) < len(weights) else None), share
 
 
 def _match(samples: Tensor, share: Tensor, table: Tensor, n_bins: int) -> Tensor:
