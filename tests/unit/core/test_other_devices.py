@@ -36,6 +36,7 @@ CONFIG = quick_config(
     colour={"iterations": [1, 1]},
     features={"layers": ["oriented1"]},
     views={"pool": 1, "image_size": 16},
+    optimize={"device": "cpu"},
 )
 SCENE = scene_of(FRAMES, CONFIG)
 
@@ -226,6 +227,17 @@ def test_what_waits_in_a_recording_is_found(wait: Callable[[torch.Tensor], objec
         told.append(True)
         with pytest.raises(RuntimeError, match="waits"):
             recorded(values)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_a_loss_is_recorded_after_all_others_are_freed() -> None:
+    """As from one window to the next."""
+    values = torch.tensor([1.0, 2.0], device="cuda", requires_grad=True)
+    for power in (2, 3):
+        recorded = replay.Replay(lambda x, power=power: (x**power).sum(), values)
+        (slope,) = torch.autograd.grad(recorded(values), values)
+        assert torch.equal(slope, power * values.detach() ** (power - 1))
+        del recorded
 
 
 def test_an_enlarged_picture_has_the_slope_of_its_repeated_border(

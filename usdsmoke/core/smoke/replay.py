@@ -12,7 +12,7 @@ import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import torch
 import torch.nn.functional as F
@@ -23,6 +23,7 @@ WARM_UP = 2  # runs before the recording: libraries choose their ways, tables ar
 SIDE = 64  # pixels; sides of enlarged pictures are multiples of it
 
 Evaluate = Callable[[], tuple[Tensor, Tensor]]
+Result = TypeVar("Result")
 
 
 class Replay:
@@ -54,19 +55,13 @@ class Replay:
         """Record the function of the inputs where they lie."""
         device = self._inputs[0].device
         with torch.cuda.device(device):
-            (side, pool), here = _side_of(device), torch.cuda.current_stream()
-            side.wait_stream(here)
-            self._graph = torch.cuda.CUDAGraph()
-            with torch.cuda.stream(side), _no_garbage():
+            recorder, here = _recorder_of(device), torch.cuda.current_stream()
+            recorder.stream.wait_stream(here)
+            with torch.cuda.stream(recorder.stream), _no_garbage():
                 for _ in range(WARM_UP):
                     evaluate()
-                # not ``torch.cuda.graph``, which empties the GPU's caches each time
-                self._graph.capture_begin(pool=pool, capture_error_mode="thread_local")
-                try:
-                    self._results = evaluate()
-                finally:
-                    self._graph.capture_end()
-            here.wait_stream(side)
+                self._graph, self._results = recorder.record(evaluate)
+            here.wait_stream(recorder.stream)
 
     def play(self) -> tuple[Tensor, Tensor]:
         """The value and the slope at the inputs."""
@@ -86,13 +81,33 @@ def _value_and_slope(
     return value.detach(), slope
 
 
-@cache
-def _side_of(device: torch.device) -> tuple[torch.cuda.Stream, Any]:
+class _Recorder:
     """The stream of a GPU that records, and the memory that all recordings share.
 
     They play one after the other, and what they give is copied at once.
     """
-    return torch.cuda.Stream(device), torch.cuda.graph_pool_handle()
+
+    def __init__(self, device: torch.device) -> None:
+        self.stream = torch.cuda.Stream(device)
+        self._pool = torch.cuda.graph_pool_handle()
+        # memory whose recordings are all freed takes no new ones: this one is kept
+        with torch.cuda.stream(self.stream):
+            self._kept, _ = self.record(partial(torch.zeros, 1, device=device))
+
+    def record(self, work: Callable[[], Result]) -> tuple[torch.cuda.CUDAGraph, Result]:
+        """What the GPU is given to do, on the current stream, and what ``work`` returns."""
+        graph = torch.cuda.CUDAGraph()
+        # not ``torch.cuda.graph``, which empties the GPU's caches each time
+        graph.capture_begin(pool=self._pool, capture_error_mode="thread_local")
+        try:
+            return graph, work()
+        finally:
+            graph.capture_end()
+
+
+@cache
+def _recorder_of(device: torch.device) -> _Recorder:
+    return _Recorder(device)
 
 
 @contextmanager
