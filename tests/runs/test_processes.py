@@ -161,3 +161,13 @@ def test_a_process_uses_no_more_processors_than_its_share() -> None:
     command = [sys.executable, "-c", code + "print(usable_cpus())"]
     done = subprocess.run(command, capture_output=True, check=True)
     assert done.stdout.strip() == b"1"
+
+
+@pytest.mark.parametrize(
+    ("cpus", "n_processes", "threads"), [(1, 1, 1), (2, 1, 2), (16, 1, 4), (16, 5, 3), (2, 3, 1)]
+)
+def test_processes_share_processors_up_to_four_each(
+    monkeypatch, cpus: int, n_processes: int, threads: int
+) -> None:
+    monkeypatch.setattr(machine, "usable_cpus", lambda: cpus)
+    assert machine.usable_threads(n_processes) == threads

@@ -17,6 +17,7 @@ from typing import Any
 from usdsmoke.base.errors import MissingPackage
 
 GIB = 2**30
+MOST_THREADS = 4
 
 _DEVICES = Path("/dev")
 _PACKAGES = ("usd-core", "torch", "numpy")
@@ -53,6 +54,14 @@ def usable_cpus() -> int:
     if hasattr(os, "sched_getaffinity"):
         there = len(os.sched_getaffinity(0))
     return max(1, min(there, _most_cpus))
+
+
+def usable_threads(n_processes: int = 1) -> int:
+    """Threads of each process that is not told how many: its processors, up to ``MOST_THREADS``.
+
+    They wait for each other, and more take longer (decision 028).
+    """
+    return max(1, min(usable_cpus() // n_processes, MOST_THREADS))
 
 
 def available_memory_gib() -> float:

@@ -324,8 +324,8 @@ class OptimizeConfig(Section):
     device: str = setting(
         "auto", "where to compute", pattern=r"auto|cpu|cuda(:\d+)?", form="auto, cpu or cuda")
     threads: int = setting(
-        0, "CPU threads of a process; results do not depend on it; 0: all that are available, "
-        "divided among the processes of --jobs", ge=0)
+        0, "CPU threads of a process; results do not depend on it; 0: those that are available, "
+        "divided among the processes of --jobs, at most 4", ge=0)
     memory_limit_gib: float | None = setting(
         None, "memory that a run may need; unset: the machine's memory", gt=0, unit="GiB")
 

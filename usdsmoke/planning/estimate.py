@@ -39,7 +39,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from usdsmoke.base.machine import GIB, usable_cpus
+from usdsmoke.base.machine import GIB, MOST_THREADS, usable_threads
 from usdsmoke.base.naming import COLOUR_CHANNELS
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.settings import Config
@@ -78,7 +78,7 @@ VIEW_TIME = 4.5e-7
 PAINT_TIME = 1.2e-6
 LEARN_TIME = 3.2e-6
 COARSE_BYTES = 44  # of a coarse voxel: displacement and colours, also as the next frame takes them
-GAIN = 0.75  # n threads are n ** GAIN times as fast; a process for each window is faster
+GAIN = 0.50  # n threads, up to MOST_THREADS, are n ** GAIN times as fast
 
 FILE_BYTES = 60_000  # header and tree of a file with little in it
 TREE = 1.3  # masks and nodes beside the values
@@ -126,7 +126,7 @@ def estimate_run(
 
     Args:
         frames: of all volumes; empty frames cost their file only.
-        threads: None takes the configured number, or all of the machine.
+        threads: None takes the configured number, or what a process takes here.
         twice: the frames that two windows compute.
         coarse: the frames of the shared coarse step; ``window_start`` is that of its chains.
         has_starts: frames start from such a step also where ``coarse`` is empty: it is done.
@@ -200,7 +200,8 @@ def grid_size(file_path: str, grid: GridHeader) -> tuple[int, tuple[int, int, in
 
 def _speed(config: Config, threads: int | None = None) -> float:
     """Times that of one thread."""
-    return float((threads or config.optimize.threads or usable_cpus()) ** GAIN)
+    n_threads = threads or config.optimize.threads or usable_threads()
+    return float(min(n_threads, MOST_THREADS) ** GAIN)
 
 
 def _refined(frame: FrameSize, config: Config) -> tuple[int, int]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.machine import usable_cpus
+from usdsmoke.base.machine import usable_threads
 from usdsmoke.base.sections import OptimizeConfig
 from usdsmoke.core.smoke.tasks import share_among
 
@@ -38,7 +38,7 @@ def choose_device(config: OptimizeConfig) -> torch.device:
             f"optimize.device {config.device!r} is not available. "
             f"Use one of auto, {', '.join(available)}."
         )
-    share_among(config.threads or usable_cpus())
+    share_among(config.threads or usable_threads())
     # cuDNN's convolutions take as long, more with the first picture of a size (decision 067)
     torch.backends.cudnn.enabled = False
     return device
