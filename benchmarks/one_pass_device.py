@@ -42,7 +42,8 @@ _INTRO = (
     "The colour step on a plume, from noise by the default iterations, and behind a network that",
     "is not trained; and a whole frame, both steps, of a quarter as many voxels. Wall seconds; on",
     "a GPU also of a second run, as it loads code and records losses when it first uses them. A",
-    "whole frame records them anew. The loss is that of the last iterations of the colour step.",
+    "whole frame records them anew. The processor computes with four threads at most. The loss is",
+    "that of the last iterations of the colour step.",
 )
 
 

@@ -78,7 +78,7 @@ VIEW_TIME = 4.5e-7
 PAINT_TIME = 1.2e-6
 LEARN_TIME = 3.2e-6
 COARSE_BYTES = 44  # of a coarse voxel: displacement and colours, also as the next frame takes them
-GAIN = 0.50  # n threads, up to MOST_THREADS, are n ** GAIN times as fast
+GAIN = 0.40  # n threads, up to MOST_THREADS, are n ** GAIN times as fast
 
 FILE_BYTES = 60_000  # header and tree of a file with little in it
 TREE = 1.3  # masks and nodes beside the values

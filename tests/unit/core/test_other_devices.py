@@ -95,6 +95,32 @@ def test_frames_are_those_of_the_processor(step: str, elsewhere: Elsewhere) -> N
     assert_about_equal(elsewhere(compute), expected)
 
 
+def test_enlarged_pictures_end_where_the_processor_does(
+    elsewhere: Elsewhere, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their slopes differ by some percent (decision 067), where a descent ends hardly does.
+
+    Two runs have the same bits.
+    """
+    config = CONFIG.replace(
+        optimize=CONFIG.optimize.replace(steps=("colour",)),
+        colour=CONFIG.colour.replace(iterations=(8, 8)),
+        views=CONFIG.views.replace(image_size=40),
+    )
+    frames = [frame_of(puff(40, 1), 1.0)]
+
+    def compute() -> list[np.ndarray]:
+        (found,) = run_core(frames, config, scene_of(frames, config), [STYLE])
+        assert found.report.colour is not None and found.emission is not None
+        return [np.array(found.report.colour.loss), found.emission.values]
+
+    (expected, _), _ = compute(), monkeypatch.setattr(replay, "SIDE", 64)
+    (found, colours), (again, same) = elsewhere(compute), elsewhere(compute)
+    assert found[-1] == pytest.approx(expected[-1], rel=0.02)
+    assert expected[-1] < 0.8 * expected[0]
+    assert np.array_equal(found, again) and np.array_equal(colours, same)
+
+
 def test_a_network_and_its_gradients_are_those_of_the_processor(elsewhere: Elsewhere) -> None:
     def compute() -> list[np.ndarray]:
         context = make_context([STYLE], SCENE, CONFIG, None, 24.0, None, 0)
