@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -127,8 +126,6 @@ class _Shown:
 
     def result(self, folder: Path, views: Mapping[str, "View"]) -> dict[str, np.ndarray]:
         """Pictures of the written frame, by name of the view."""
-        from usdsmoke.core.smoke.tasks import run_tasks
-
         density, emission, colour = _read_result(self.volume, folder / self.frame.file_name)
         sides = list(views.values())
         lit_from = sides if self.scattering.is_uneven else sides[:1]
@@ -137,9 +134,8 @@ class _Shown:
         media = [self._media(density, (emission, colour), view) for view in lit_from]
         del density, emission, colour
         pairs = zip(media * (len(sides) // len(media)), sides, strict=True)
-        return dict(
-            zip(views, run_tasks([partial(self._draw, *pair) for pair in pairs]), strict=True)
-        )
+        # one by one: an oblique view takes most of the time, and threads share its rays
+        return {name: self._draw(*pair) for name, pair in zip(views, pairs, strict=True)}
 
     def _draw(self, media: Sequence["Medium"], view: "View") -> np.ndarray:
         from usdsmoke.core.rays.march import march
