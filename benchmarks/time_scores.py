@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from pxr import Usd
 
 from benchmarks.circumstances import publish, table_page
@@ -144,14 +143,16 @@ def _draw(points: Sequence[Point], file_path: Path) -> None:
         values = [[p.loss for p in drawn], *([p.scores[n] for p in drawn] for n in MEASURES)]
         for axis, y in zip(axes, values, strict=True):
             axis.plot(x, y, color=colour, marker="o", markersize=4, linewidth=1.4, label=way)
-    ticks = np.array([3, 5, 10, 20, 40, 80])
+    spent = [point.cpu_s for point in points]
+    ticks = [n for n in (3, 5, 10, 20, 40, 80, 160) if min(spent) / 2 < n < 2 * max(spent)]
     for axis, name in zip(axes, ("unseen loss", *MEASURES.values()), strict=True):
         axis.set(xscale="log", xlabel="CPU seconds", title=name)
         axis.set_xticks(ticks, ticks)
         axis.minorticks_off()
         axis.grid(True, color="#e6e6e6", linewidth=0.6)
         axis.set_axisbelow(True)
-    axes[0].legend(fontsize=7, frameon=False)
+    lines, names = axes[0].get_legend_handles_labels()
+    figure.legend(lines, names, loc="outside upper center", ncols=3, frameon=False)
     figure.savefig(file_path, metadata={"Software": None})
 
 
