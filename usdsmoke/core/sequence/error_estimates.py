@@ -48,7 +48,7 @@ OTHER_SEED = 0x0DD5EED  # of their angles
 # Share of the loss that four times as many iterations gain, where the rates of the last octave add
 # up to 1; less by the way to the power of .7. From runs of 30 to 160 iterations in each octave on
 # puffs, filaments and two plumes (benchmarks/results/optimiser_error.md).
-USUALLY_LEFT = {"colour": 0.24, "shape": 0.125}
+USUALLY_LEFT = {"colour": 0.205, "shape": 0.125}
 
 
 def frame_errors(frame: PaintedFrame) -> FrameErrors:
