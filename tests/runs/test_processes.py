@@ -169,5 +169,6 @@ def test_a_process_uses_no_more_processors_than_its_share() -> None:
 def test_processes_share_processors_up_to_four_each(
     monkeypatch, cpus: int, n_processes: int, threads: int
 ) -> None:
-    monkeypatch.setattr(machine, "usable_cpus", lambda: cpus)
-    assert machine.usable_threads(n_processes) == threads
+    monkeypatch.setattr(machine, "_most_cpus", max(cpus // n_processes, 1))  # as a process is told
+    monkeypatch.setattr(machine.os, "sched_getaffinity", lambda process: range(cpus))
+    assert machine.usable_threads() == threads

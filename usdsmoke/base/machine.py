@@ -56,12 +56,12 @@ def usable_cpus() -> int:
     return max(1, min(there, _most_cpus))
 
 
-def usable_threads(n_processes: int = 1) -> int:
-    """Threads of each process that is not told how many: its processors, up to ``MOST_THREADS``.
+def usable_threads() -> int:
+    """Threads of a process that is not told how many: its processors, up to ``MOST_THREADS``.
 
     They wait for each other, and more take longer (decision 028).
     """
-    return max(1, min(usable_cpus() // n_processes, MOST_THREADS))
+    return min(usable_cpus(), MOST_THREADS)
 
 
 def available_memory_gib() -> float:

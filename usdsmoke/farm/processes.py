@@ -18,7 +18,6 @@ from usdsmoke.base.machine import (
     limit_cpus,
     seems_to_have_gpu,
     usable_cpus,
-    usable_threads,
 )
 from usdsmoke.farm.tasks import Tasks, divide_job
 from usdsmoke.pipeline import (
@@ -67,8 +66,8 @@ def stylize_in_processes(
 ) -> StylizeResult:
     """``stylize`` with its windows computed by several processes of this machine; the same bits.
 
-    The processes divide the machine's processors among themselves, up to four each, unless
-    ``optimize.threads`` says how many threads each has.
+    The processes divide the machine's processors among themselves, and have a thread for each, up
+    to four, unless ``optimize.threads`` says how many.
 
     Args:
         jobs: processes; no more are started than there are windows. None: see ``choose_jobs``; a
@@ -138,7 +137,7 @@ class _Pool:
         while waiting or self._busy:
             while waiting and len(self._busy) < n_processes:
                 connection, process = self._idle.pop() if self._idle else self._start()
-                connection.send((waiting[0], usable_threads(n_processes)))
+                connection.send((waiting[0], max(usable_cpus() // n_processes, 1)))
                 self._busy[connection] = (waiting.pop(0), process)
             for item in wait(list(self._busy)):
                 assert isinstance(item, Connection)
