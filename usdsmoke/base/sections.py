@@ -235,9 +235,9 @@ class LossesConfig(Section):
     histogram: float = setting(
         0.0, "weight of the feature histograms, relative to the style's weight", ge=0)
     nearest: float = setting(
-        1.0, "weight of the distance from the features of the two deepest learned style layers to "
-        "the nearest ones of the style, in the colour step, relative to the style's weight; above "
-        "1, pieces of the style repeat", ge=0)
+        1.0, "weight of the distances from the features of the two deepest learned style layers to "
+        "the nearest ones of the style and back, in the colour step, relative to the style's "
+        "weight; above 1, pieces of the style repeat", ge=0)
     content: float = setting(
         0.0, "weight of the loss that preserves the features of the smoke's own grey image", ge=0)
     laplacian: float = setting(

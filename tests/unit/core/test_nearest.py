@@ -1,4 +1,4 @@
-"""The way from features to the nearest ones of a style."""
+"""The ways from features to the nearest ones of a style, and back."""
 
 import pytest
 import torch
@@ -7,17 +7,27 @@ from usdsmoke.base.sections import FeaturesConfig, LossesConfig
 from usdsmoke.core.style.features import EmbeddedFeatures
 from usdsmoke.core.style.layers import nearest_layers
 from usdsmoke.core.style.losses import StyleTarget
-from usdsmoke.core.style.nearest import MOST_LOOKED_UP, MOST_STYLE, nearest_distance, thin_out
+from usdsmoke.core.style.nearest import MOST_LOOKED_UP, MOST_STYLE, nearest_distances, thin_out
 
 
 def test_it_is_the_mean_square_way_to_the_nearest_feature():
     style = torch.tensor([[0.0, 1.0], [0.0, 1.0]])
     values = torch.tensor([[0.1, 0.5, 1.0], [0.1, 0.4, 2.0]])
     ways = [0.01, (0.25 + 0.16) / 2, 0.5]
-    assert nearest_distance(values, None, style).item() == pytest.approx(sum(ways) / 3)
-    weighted = nearest_distance(values, torch.tensor([1.0, 0.0, 3.0]), style)
+    assert nearest_distances(values, None, style)[0].item() == pytest.approx(sum(ways) / 3)
+    weighted, _ = nearest_distances(values, torch.tensor([1.0, 0.0, 3.0]), style)
     assert weighted.item() == pytest.approx((ways[0] + 3 * ways[2]) / 4)
-    assert nearest_distance(values, torch.zeros(3), style).item() == 0
+    assert [way.item() for way in nearest_distances(values, torch.zeros(3), style)] == [0, 0]
+
+
+def test_a_style_s_features_look_back_in_turn_to_features_of_enough_weight():
+    style = torch.tensor([[0.0, 1.0, 5.0, 7.0]])
+    values = torch.tensor([[0.1, 0.6, 5.5]])
+    backs = [nearest_distances(values, None, style, draw)[1].item() for draw in range(3)]
+    assert backs == pytest.approx([(0.01 + 0.25) / 2, (0.16 + 2.25) / 2, (0.01 + 0.25) / 2])
+    _, without_the_first = nearest_distances(values, torch.tensor([0.4, 1.0, 0.9]), style)
+    assert without_the_first.item() == pytest.approx((0.36 + 0.25) / 2)
+    assert nearest_distances(values, None, style[:, :1], 1)[1].item() == pytest.approx(0.01)
 
 
 def test_draws_that_follow_each_other_look_up_all_of_many_features():
@@ -25,16 +35,16 @@ def test_draws_that_follow_each_other_look_up_all_of_many_features():
     values = torch.rand(3, 3 * MOST_LOOKED_UP, generator=generator)
     style = torch.rand(3, 50, generator=generator)
     squares = (values[:, :, None] - style[:, None, :]).square().mean(0).amin(1)
-    found = [nearest_distance(values, None, style, draw).item() for draw in range(4)]
+    found = [nearest_distances(values, None, style, draw)[0].item() for draw in range(4)]
     assert sum(found[:3]) / 3 == pytest.approx(squares.mean().item())
     assert found[3] == found[0] != found[1]
 
 
-def test_the_gradient_leads_to_the_nearest_feature():
-    style = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
-    values = torch.tensor([[0.2, 0.9, 0.4]], dtype=torch.float64, requires_grad=True)
+def test_the_gradients_lead_to_the_nearest_features():
+    style = torch.tensor([[0.0, 1.0, 0.3, 0.7]], dtype=torch.float64)
+    values = torch.tensor([[0.25, 0.9, 0.4]], dtype=torch.float64, requires_grad=True)
     weights = torch.tensor([1.0, 0.5, 0.7], dtype=torch.float64)
-    assert torch.autograd.gradcheck(lambda v: nearest_distance(v, weights, style), values)
+    assert torch.autograd.gradcheck(lambda v: nearest_distances(v, weights, style), values)
 
 
 def test_a_large_style_is_thinned_out_evenly():
@@ -45,22 +55,33 @@ def test_a_large_style_is_thinned_out_evenly():
     assert torch.equal(thin_out(style[:, :9]), style[:, :9])
 
 
+def drawn_share(style: torch.Tensor, picture: torch.Tensor) -> float:
+    """What the ways to nearest features add to a picture's loss."""
+    network, layers = EmbeddedFeatures(style), ("learned2", "learned3")
+    with_ways, without = (
+        StyleTarget(
+            style, network, dict.fromkeys(layers, 1.0),
+            LossesConfig(nearest=weight, statistic="gram"), nearest_layers=layers,
+        ).loss(picture, None).item()
+        for weight in (1.0, 0.0)
+    )  # fmt: skip
+    return with_ways - without
+
+
 def test_a_picture_of_mixtures_is_farther_than_one_of_pieces_of_the_style():
     stripes = (torch.arange(64) // 4 % 2).float()
     style = stripes[:, None, None].expand(64, 64, 3) * torch.tensor([0.9, 0.5, 0.1])
     crossed = 0.5 * (style + style.transpose(0, 1))
-    network = EmbeddedFeatures(style)
-    layers = ("learned2", "learned3")
-    only = LossesConfig(nearest=1.0, statistic="gram")
-    plain = LossesConfig(nearest=0.0, statistic="gram")
-    ways = []
-    for picture in (style.roll(8, 0), crossed):
-        drawn, undrawn = (
-            StyleTarget(style, network, dict.fromkeys(layers, 1.0), losses, nearest_layers=layers)
-            for losses in (only, plain)
-        )
-        ways.append((drawn.loss(picture, None) - undrawn.loss(picture, None)).item())
-    assert 5 * ways[0] < ways[1]
+    assert 5 * drawn_share(style, style.roll(8, 0)) < drawn_share(style, crossed)
+
+
+def test_a_picture_of_half_of_the_style_is_farther_than_one_of_all_its_pieces():
+    """Each place of either is a place of the style."""
+    rows = torch.arange(64)
+    stripes = torch.where(rows < 32, rows // 2 % 2, rows // 8 % 2).float()
+    style = stripes[:, None, None].expand(64, 64, 3) * torch.tensor([0.9, 0.5, 0.1])
+    half = torch.cat([style[32:], style[32:]])
+    assert 3 * drawn_share(style, style.flip(1)) < drawn_share(style, half)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from usdsmoke.core.smoke.replay import enlarged
 from usdsmoke.core.style import convolve
 from usdsmoke.core.style.features import EmbeddedFeatures, Network
 from usdsmoke.core.style.losses import StyleTarget
-from usdsmoke.core.style.nearest import nearest_distance
+from usdsmoke.core.style.nearest import nearest_distances
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 from usdsmoke.core.style.sliced import sliced_distance
 from usdsmoke.core.style.vgg19 import Vgg19Features
@@ -155,9 +155,11 @@ def test_statistics_are_those_of_the_processor(
         distances = (
             sliced_distance(leaf, own, along, quantile_table(along @ other)),
             quantile_distance(leaf, own, quantile_table(other)),
-            nearest_distance(leaf, own, other, number),
+            *nearest_distances(leaf, own, other, number),
         )
-        slopes = [torch.autograd.grad(distance, leaf)[0] for distance in distances]
+        slopes = [
+            torch.autograd.grad(distance, leaf, retain_graph=True)[0] for distance in distances
+        ]
         return [one.detach().cpu().numpy() for one in (*distances, *slopes)]
 
     for some in (weights, torch.zeros(n)):

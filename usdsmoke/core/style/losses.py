@@ -13,7 +13,8 @@ convergence:
 
 Instead of Gram matrices, or in addition, the distributions of the features are compared: channel by
 channel (the histogram loss [Risser2017]), or along random directions (sliced Wasserstein
-[Heitz2021]). The deep layers are also drawn to the nearest features of the style [Li2016].
+[Heitz2021]). The deep layers are also drawn to the nearest features of the style [Li2016], and each
+of the style's draws the nearest of theirs [Simakov2008].
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,7 +32,7 @@ from usdsmoke.core.smoke.replay import Replay, enlarged
 from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
 from usdsmoke.core.style.features import Network, independent_layers
-from usdsmoke.core.style.nearest import nearest_distance, thin_out
+from usdsmoke.core.style.nearest import nearest_distances, thin_out
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 from usdsmoke.core.style.sliced import sliced_distance
 
@@ -39,6 +40,7 @@ N_DIRECTIONS = 32  # of sliced Wasserstein, for each layer of a picture
 MOST_PER_CHANNEL = 4  # directions: colours alone have three channels
 N_DRAWS = 16  # sets of directions, taken in turn
 MOST_SAMPLES = 2**12  # of a style's features, drawn anew for each set, whose quantiles are taken
+BACK = 2.0  # weight of the ways from the style's features to the nearest of a picture's
 LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more
 
 
@@ -249,10 +251,11 @@ class _LayerTarget:
         return torch.sqrt(quantile_distance(scaled, weights, self._table) + 1e-8)
 
     def nearest_distance(self, maps: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
-        """Root mean square way from a draw of the picture's features to the style's nearest."""
+        """Root mean square ways to the nearest features: to the style's, plus ``BACK`` back."""
         weights = None if guide is None else _small(guide, maps).square()[0]
         scaled = _wide(_flat(maps)) * self._scale[:, None]
-        return torch.sqrt(nearest_distance(scaled, weights, self._thinned, draw) + 1e-8)
+        there, back = nearest_distances(scaled, weights, self._thinned, draw)
+        return torch.sqrt(there + 1e-8) + BACK * torch.sqrt(back + 1e-8)
 
     def sliced_distance(self, maps: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
         """The same along a draw of random directions."""

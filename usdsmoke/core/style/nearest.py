@@ -1,8 +1,9 @@
-"""How far features are from the nearest ones of a style. [Li2016]
+"""How far features are from the nearest ones of a style, and those of the style from theirs.
 
 Distributions tell how often a feature appears, and are content with mixtures that the style has
-nowhere. The way to the nearest feature is 0 only where every place of a picture looks like some
-place of the style.
+nowhere. The way to the nearest feature [Li2016] is 0 only where every place of a picture looks like
+some place of the style. The way back [Simakov2008] is 0 only where every place of the style is
+found in the picture: without it, a picture may be of the style's simplest pieces alone.
 """
 
 import torch
@@ -12,6 +13,7 @@ from torch import Tensor
 MOST_STYLE = 1500  # features of the style that are looked through, evenly spaced
 MOST_LOOKED_UP = 1500  # features of a picture in one draw; the others in the next ones
 LEAST_WEIGHT = 0.05  # below this, a feature is left out
+WHOLE = 0.5  # of the largest weight: from here on a feature is whole enough for the style's
 
 
 def thin_out(style: Tensor) -> Tensor:
@@ -19,23 +21,28 @@ def thin_out(style: Tensor) -> Tensor:
     return style[:, :: -(-style.shape[1] // MOST_STYLE)].contiguous()
 
 
-def nearest_distance(
+def nearest_distances(
     values: Tensor, weights: Tensor | None, style: Tensor, draw: int | Tensor = 0
-) -> Tensor:
-    """Weighted mean of |F - F_s|² / C over features F [C P], F_s the nearest of the style's [C S].
+) -> tuple[Tensor, Tensor]:
+    """Mean squares of the ways to the nearest feature: to the style, and back. [Simakov2008]
+
+    |F - F_s|² / C: a weighted mean over features F [C P], F_s the nearest of the style's [C S]; and
+    a mean over the style's, F the nearest of the picture's. The first is coherence, the second
+    completeness.
 
     Of many features every n-th is looked up, others in each of n draws that follow each other:
-    neighbours see much the same of a picture.
+    neighbours see much the same of a picture. Every other one of the style's looks back.
 
     Args:
         values: of a picture.
-        weights: [P], >= 0; None means 1 everywhere.
+        weights: [P], >= 0; None means 1 everywhere. No way leads back to features of less than
+            ``WHOLE`` of the largest.
         style: see ``thin_out``.
         draw: which of the features, e.g. the iteration; a tensor on a GPU, where nothing waits for
             a number.
 
     Returns:
-        A scalar; 0 if no weight is above ``LEAST_WEIGHT``.
+        Two scalars; 0 if no weight is above ``LEAST_WEIGHT``.
 
     Gradients: through ``values``, with the choice of the nearest held.
     """
@@ -44,11 +51,22 @@ def nearest_distance(
         # rows, as features lie in memory, and as their slopes then do
         values = values.T.index_select(0, chosen).T
     if values.shape[1] == 0:
-        return values.sum()
-    square = (values - _nearest(values, style)).square().mean(0)
+        return values.sum(), values.sum()
+    missing = style.T.index_select(0, _every_other(style, draw)).T
+    to_style = values - _nearest(values, style)
+    back = _nearest(missing, values, weights) - missing
+    square = to_style.square().mean(0)
     if weights is None:
-        return square.mean()
-    return (square * weights).sum() / weights.sum().clamp_min(torch.finfo(square.dtype).tiny)
+        return square.mean(), back.square().mean()
+    least = torch.finfo(square.dtype).tiny
+    is_any = (weights > LEAST_WEIGHT).any()
+    return (square * weights).sum() / weights.sum().clamp_min(least), back.square().mean() * is_any
+
+
+def _every_other(style: Tensor, draw: int | Tensor) -> Tensor:
+    """Half of a style's features [C S], as many in each draw."""
+    n = style.shape[1]
+    return (torch.arange(max(n // 2, 1), device=style.device) * 2 + draw % 2).clamp_max(n - 1)
 
 
 def _choose(
@@ -81,12 +99,14 @@ def _drawn(weights: Tensor, draw: int | Tensor) -> tuple[Tensor, Tensor]:
     return chosen.clamp(max=n - 1), weights
 
 
-@torch.no_grad()
-def _nearest(values: Tensor, style: Tensor) -> Tensor:
-    """For each feature [C P] the nearest of the style's [C S]."""
-    half_squares = 0.5 * style.square().sum(0)
-    nearness = torch.addmm(half_squares, values.T, style, beta=-1)
-    return style.T.index_select(0, _largest(nearness)).T
+def _nearest(values: Tensor, others: Tensor, weights: Tensor | None = None) -> Tensor:
+    """For each feature [C P] the nearest of others [C S], of those with enough weight [S]."""
+    with torch.no_grad():
+        half_squares = 0.5 * others.square().sum(0)
+        if weights is not None:
+            half_squares.masked_fill_(weights < WHOLE * weights.max(), torch.inf)
+        rows = _largest(torch.addmm(half_squares, values.T, others, beta=-1))
+    return others.T.index_select(0, rows).T
 
 
 def _largest(values: Tensor) -> Tensor:
