@@ -251,7 +251,7 @@ class _LayerTarget:
         return torch.sqrt(quantile_distance(scaled, weights, self._table) + 1e-8)
 
     def nearest_distance(self, maps: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
-        """Root mean square ways to the nearest features: to the style's, plus ``BACK`` back."""
+        """Root mean square way from a draw to the style's nearest, and ``BACK`` times it back."""
         weights = None if guide is None else _small(guide, maps).square()[0]
         scaled = _wide(_flat(maps)) * self._scale[:, None]
         there, back = nearest_distances(scaled, weights, self._thinned, draw)
