@@ -236,8 +236,8 @@ class LossesConfig(Section):
         0.0, "weight of the feature histograms, relative to the style's weight", ge=0)
     nearest: float = setting(
         1.0, "weight of the distances from the features of the two deepest learned style layers to "
-        "the nearest ones of the style and back, in the colour step, relative to the style's "
-        "weight; above 1, pieces of the style repeat", ge=0)
+        "the nearest ones of the style, and from the style's to the nearest of theirs, in the "
+        "colour step, relative to the style's weight; above 1, pieces of the style repeat", ge=0)
     content: float = setting(
         0.0, "weight of the loss that preserves the features of the smoke's own grey image", ge=0)
     laplacian: float = setting(

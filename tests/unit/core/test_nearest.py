@@ -25,7 +25,7 @@ def test_a_style_s_features_look_back_in_turn_to_features_of_enough_weight():
     values = torch.tensor([[0.1, 0.6, 5.5]])
     backs = [nearest_distances(values, None, style, draw)[1].item() for draw in range(3)]
     assert backs == pytest.approx([(0.01 + 0.25) / 2, (0.16 + 2.25) / 2, (0.01 + 0.25) / 2])
-    _, without_the_first = nearest_distances(values, torch.tensor([0.4, 1.0, 0.9]), style)
+    _, without_the_first = nearest_distances(values, torch.tensor([0.2, 0.5, 0.45]), style)
     assert without_the_first.item() == pytest.approx((0.36 + 0.25) / 2)
     assert nearest_distances(values, None, style[:, :1], 1)[1].item() == pytest.approx(0.01)
 

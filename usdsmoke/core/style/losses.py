@@ -14,7 +14,7 @@ convergence:
 Instead of Gram matrices, or in addition, the distributions of the features are compared: channel by
 channel (the histogram loss [Risser2017]), or along random directions (sliced Wasserstein
 [Heitz2021]). The deep layers are also drawn to the nearest features of the style [Li2016], and each
-of the style's draws the nearest of theirs [Simakov2008].
+feature of the style pulls the nearest one of the picture [Simakov2008].
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -41,6 +41,7 @@ MOST_PER_CHANNEL = 4  # directions: colours alone have three channels
 N_DRAWS = 16  # sets of directions, taken in turn
 MOST_SAMPLES = 2**12  # of a style's features, drawn anew for each set, whose quantiles are taken
 BACK = 2.0  # weight of the ways from the style's features to the nearest of a picture's
+LEAST_SPREAD = 0.01  # of a channel's rms, from which on a style's features differ
 LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more
 
 
@@ -222,6 +223,9 @@ class _LayerTarget:
         rms = maps.float().square().mean(dim=(0, 2, 3)).sqrt()
         self._scale = (1 / (rms.clamp_min(LEAST_RMS) + 1e-3)).to(_wide(maps))
         self._style = _wide(_flat(maps)) * self._scale[:, None]  # [C P]
+        # of a style of one colour, all ways back would pull at one feature of the picture
+        deviations = self._style.std(dim=1, correction=0)
+        self._varies = bool((deviations > LEAST_SPREAD).any())
         self._seed = seed
         self._slices: dict[int, tuple[Tensor, Tensor]] = {}
 
@@ -251,11 +255,15 @@ class _LayerTarget:
         return torch.sqrt(quantile_distance(scaled, weights, self._table) + 1e-8)
 
     def nearest_distance(self, maps: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
-        """Root mean square way from a draw to the style's nearest, and ``BACK`` times it back."""
+        """Root mean square way from a draw of the picture's features to the style's nearest.
+
+        Plus ``BACK`` times the way from the style's features to the nearest of the draw's.
+        """
         weights = None if guide is None else _small(guide, maps).square()[0]
         scaled = _wide(_flat(maps)) * self._scale[:, None]
         there, back = nearest_distances(scaled, weights, self._thinned, draw)
-        return torch.sqrt(there + 1e-8) + BACK * torch.sqrt(back + 1e-8)
+        way = torch.sqrt(there + 1e-8)
+        return way + BACK * torch.sqrt(back + 1e-8) if self._varies else way
 
     def sliced_distance(self, maps: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
         """The same along a draw of random directions."""

@@ -1,4 +1,4 @@
-"""How far features are from the nearest ones of a style, and those of the style from theirs.
+"""How far features are from the nearest ones of a style, and the style's from theirs.
 
 Distributions tell how often a feature appears, and are content with mixtures that the style has
 nowhere. The way to the nearest feature [Li2016] is 0 only where every place of a picture looks like
@@ -13,7 +13,7 @@ from torch import Tensor
 MOST_STYLE = 1500  # features of the style that are looked through, evenly spaced
 MOST_LOOKED_UP = 1500  # features of a picture in one draw; the others in the next ones
 LEAST_WEIGHT = 0.05  # below this, a feature is left out
-WHOLE = 0.5  # of the largest weight: from here on a feature is whole enough for the style's
+WHOLE = 0.5  # of a draw's largest weight; no way leads back to less, as at the rim of smoke
 
 
 def thin_out(style: Tensor) -> Tensor:
@@ -31,12 +31,12 @@ def nearest_distances(
     completeness.
 
     Of many features every n-th is looked up, others in each of n draws that follow each other:
-    neighbours see much the same of a picture. Every other one of the style's looks back.
+    neighbours see much the same of a picture. Every other one of the style's looks back, in turns;
+    of an odd number, the last never does.
 
     Args:
         values: of a picture.
-        weights: [P], >= 0; None means 1 everywhere. No way leads back to features of less than
-            ``WHOLE`` of the largest.
+        weights: [P], >= 0; None means 1 everywhere. See ``WHOLE`` too.
         style: see ``thin_out``.
         draw: which of the features, e.g. the iteration; a tensor on a GPU, where nothing waits for
             a number.
@@ -59,7 +59,7 @@ def nearest_distances(
     if weights is None:
         return square.mean(), back.square().mean()
     least = torch.finfo(square.dtype).tiny
-    is_any = (weights > LEAST_WEIGHT).any()
+    is_any = weights.any()
     return (square * weights).sum() / weights.sum().clamp_min(least), back.square().mean() * is_any
 
 
@@ -106,7 +106,9 @@ def _nearest(values: Tensor, others: Tensor, weights: Tensor | None = None) -> T
         if weights is not None:
             half_squares.masked_fill_(weights < WHOLE * weights.max(), torch.inf)
         rows = _largest(torch.addmm(half_squares, values.T, others, beta=-1))
-    return others.T.index_select(0, rows).T
+    if rows.device.type == "cpu":
+        return others.T.index_select(0, rows).T
+    return others.T[rows].T  # the slopes of many rows that are one are added in a fixed order
 
 
 def _largest(values: Tensor) -> Tensor:
