@@ -32,9 +32,10 @@ def test_ordinary_frames_have_no_finding(tmp_path: Path) -> None:
     )
     goes_on = replace(GOOD, colour=StepReport(loss=(1.6,), fallen=0.3))  # from a coarse step
     plume = replace(GOOD, shape=StepReport(loss=(4.0, 3.1, 2.1), fallen=1.9))
+    far = replace(GOOD, colour=StepReport(loss=(9.3, 7.0, 4.8), fallen=4.5, remaining=0.1))
     empty = FrameReport(left_out="empty frame")
     budget = budget_of(tmp_path, [GOOD, warm, empty, warm, goes_on, plume])
-    assert budget.findings == ()
+    assert budget.findings == budget_of(tmp_path, [far]).findings == ()
     assert {budget.verdict(estimate.name) for estimate in budget.estimates} == {"fine"}
 
 
@@ -54,7 +55,7 @@ def test_ordinary_frames_have_no_finding(tmp_path: Path) -> None:
         ({"voxels_written": 980}, "mass", "shape.reach"),
         ({"voxels_written": 0}, "mass", "shape.reach"),
         (
-            {"colour": StepReport(loss=(40.0, 30.0, 22.5), fallen=1.0)},
+            {"colour": StepReport(loss=(9.4, 7.0, 6.3), fallen=3.1)},
             "optimiser, colour",
             "colour.iterations",
         ),
