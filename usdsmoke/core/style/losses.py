@@ -223,9 +223,6 @@ class _LayerTarget:
         rms = maps.float().square().mean(dim=(0, 2, 3)).sqrt()
         self._scale = (1 / (rms.clamp_min(LEAST_RMS) + 1e-3)).to(_wide(maps))
         self._style = _wide(_flat(maps)) * self._scale[:, None]  # [C P]
-        # of a style of one colour, all ways back would pull at one feature of the picture
-        deviations = self._style.std(dim=1, correction=0)
-        self._varies = bool((deviations > LEAST_SPREAD).any())
         self._seed = seed
         self._slices: dict[int, tuple[Tensor, Tensor]] = {}
 
@@ -241,6 +238,11 @@ class _LayerTarget:
     @cached_property
     def _thinned(self) -> Tensor:
         return thin_out(self._style)
+
+    @cached_property
+    def _varies(self) -> bool:
+        """Whether the style has more than one colour; else all ways back pull at one feature."""
+        return bool((self._thinned.std(dim=1, correction=0) > LEAST_SPREAD).any())
 
     def gram_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
         """|G - G_S| / |G_S|, smoothed at 0; G has a constant channel, whose products are means."""
