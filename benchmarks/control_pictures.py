@@ -192,13 +192,19 @@ def _describe_colours(look: Look, style: np.ndarray) -> str:
     return f"chroma {chroma:.2f}, distance {colour_distance(style, own, inside):.3f}"
 
 
-def simulate_once(folder: Path, reuse: bool) -> dict[str, VolumeFrame]:
-    """The frames, simulated, or as they were left in ``folder`` by a run before."""
-    file_path = folder / f"smoke_{RESOLUTION}_{SLAB_RESOLUTION}.npz"
+def simulate_once(
+    folder: Path, reuse: bool, resolution: int = RESOLUTION
+) -> dict[str, VolumeFrame]:
+    """The frames, simulated, or as they were left in ``folder`` by a run before.
+
+    Args:
+        resolution: voxels of the 3-D one along the box's width.
+    """
+    file_path = folder / f"smoke_{resolution}_{SLAB_RESOLUTION}.npz"
     if not (reuse and file_path.is_file()):
         print("simulating two plumes", file=sys.stderr, flush=True)
         folder.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(file_path, **simulate_smoke(RESOLUTION, SLAB_RESOLUTION))
+        np.savez_compressed(file_path, **simulate_smoke(resolution, SLAB_RESOLUTION))
     with np.load(file_path) as smoke:
         return {kind: frame_of(smoke[kind]) for kind in KINDS}
 

@@ -3,7 +3,7 @@
     python -m benchmarks.gallery [--only dabs mosaic ...] [--data ../shared/data] [--reuse]
 
 Every style is painted by code and stylizes a 3-D frame of the example plume, a 2-D slab and, where
-its file is, the real plume at half its resolution, all with default settings. The page tells CPU
+its file is, the real plume, all with default settings. The page tells CPU
 seconds and scores on views that the optimiser never had. Every cell is kept in the folder --work,
 and taken from there with --reuse, so that a run that was stopped goes on.
 """
@@ -37,19 +37,22 @@ from usdsmoke.core.style.style_image import scale_style
 
 __all__ = ["Cell", "keep_cell", "kept_cell", "main", "make_cell", "write_page"]
 
-HEIGHT = 288  # pixels of a picture in the gallery
+HEIGHT = 400  # pixels of a picture in the gallery
+WIDEST = 1000  # pixels of a row
 GAP = 6
 GREY = np.full(3, 0.12, np.float32)  # display-encoded, behind the smoke
-REAL_WIDTH = 56  # voxels across of the real plume
+RESOLUTION = 80  # voxels across the box of the example plume, as in `make demo`
+REAL_WIDTH = 111  # voxels across the real plume: all of them
 TURNS = {"3-D": (0.0, 90.0), "2-D": (0.0,), "real": (0.0, 90.0)}  # degrees of azimuth
 NAMES = {"3-D": "example plume", "2-D": "2-D slab", "real": "real plume"}
 MEASURES = {"patch": "patches", "colour": "colours", "spectrum": "spectrum", "edges": "edges"}
 N_VIEWS = 6
 
 ABOUT = (
-    "Styles painted by `examples/styles/paint.py`, with default settings. Each row shows the "
-    "style, then each scene from the front; volumes are also shown from the side. [Quality and "
-    "cost](../README.md#quality-and-cost) explains the scores, which are from all sides."
+    "Styles painted by `examples/styles/paint.py`, with default settings. Each picture shows the "
+    "style, the example plume from the front and from the side, a 2-D slab, and the real plume "
+    "from the front and from the side. [Quality and cost](../README.md#quality-and-cost) explains "
+    "the scores, which are from all sides."
 )
 
 
@@ -130,7 +133,7 @@ def write_page(
     ]
     for style, cells in rows.items():
         file_name = f"{style}.webp"
-        _strip([styles[style], *(p for cell in cells for p in cell.pictures)]).save(
+        _sheet([styles[style], *(p for cell in cells for p in cell.pictures)]).save(
             folder / file_name, quality=85, method=6
         )
         lines += [f"## {style}", "", f"![{style}](pictures/gallery/{file_name})", ""]
@@ -144,17 +147,21 @@ def write_page(
     page.write_text("\n".join([*lines, *circumstances(command.split())]) + "\n", encoding="utf-8")
 
 
-def _strip(pictures: Sequence[np.ndarray]) -> Image.Image:
-    """Pictures side by side, HEIGHT high; the first, the style, is scaled to it."""
+def _sheet(pictures: Sequence[np.ndarray]) -> Image.Image:
+    """Pictures HEIGHT high in rows; the first, the style, is scaled to it."""
     first = Image.fromarray(np.rint(pictures[0] * 255.0).astype(np.uint8))
     first.thumbnail((HEIGHT, HEIGHT))
     parts = [np.asarray(first), *(np.rint(p * 255.0).astype(np.uint8) for p in pictures[1:])]
-    width = sum(part.shape[1] for part in parts) + GAP * (len(parts) - 1)
-    sheet = Image.new("RGB", (width, HEIGHT), (24, 24, 26))
-    left = 0
+    places, left, top = [], 0, 0
     for part in parts:
-        sheet.paste(Image.fromarray(part), (left, (HEIGHT - part.shape[0]) // 2))
+        if left > 0 and left + part.shape[1] > WIDEST:
+            left, top = 0, top + HEIGHT + GAP
+        places.append((left, top + (HEIGHT - part.shape[0]) // 2))
         left += part.shape[1] + GAP
+    width = max(x + part.shape[1] for (x, _), part in zip(places, parts, strict=True))
+    sheet = Image.new("RGB", (width, top + HEIGHT), (24, 24, 26))
+    for place, part in zip(places, parts, strict=True):
+        sheet.paste(Image.fromarray(part), place)
     return sheet
 
 
@@ -172,7 +179,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--reuse", action="store_true", help="cells that are there already")
     options = parser.parse_args(arguments)
     try:
-        frames: dict[str, VolumeFrame] = dict(simulate_once(options.work, reuse=True))
+        frames: dict[str, VolumeFrame] = dict(simulate_once(options.work, True, RESOLUTION))
         if (options.data / PLUME_FILE).is_file():
             frames["real"] = find_scenes(["real_plume"], REAL_WIDTH, options.data)[0]["real_plume"]
         styles = paint_styles(options.only)

@@ -1,11 +1,11 @@
 #!/bin/sh
 # Simulate the plume, paint the styles, stylize the one with the other, and say where everything is.
 #
-#   sh examples/plume/demo.sh OUT_FOLDER [STYLE]     (run by `make demo`; STYLE: strokes, dabs, ...)
+#   sh examples/plume/demo.sh OUT_FOLDER [STYLE]     (run by `make demo`; STYLE: waves, mosaic, ...)
 set -eu
 here=$(dirname "$0")
 out=${1:?"usage: demo.sh OUT_FOLDER [STYLE]"}
-style=${2:-strokes}
+style=${2:-waves}
 bin=.venv/bin
 
 "$bin/python" "$here/simulate.py" "$out/source"
@@ -26,6 +26,6 @@ Next:
   $bin/usdsmoke validate $out/look/plume_look.usda
   $bin/usdsmoke inspect $out/source/plume.usda
   $bin/usdsmoke preview $out/look/plume_look.usda -o $out/preview.png --compare --width 200
-  sh $here/demo.sh $out waves      (another style)
+  sh $here/demo.sh $out strokes    (another style)
   $bin/usdsmoke stylize YOUR_STAGE.usd --style YOUR_IMAGE.png -o YOUR_FOLDER
 END

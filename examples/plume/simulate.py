@@ -1,6 +1,6 @@
 """Simulate a small plume and write it as VDB files and a stage that uses them.
 
-    python examples/plume/simulate.py OUT_FOLDER [--frames 12] [--resolution 64]
+    python examples/plume/simulate.py OUT_FOLDER [--frames 12] [--resolution 80]
 
 Leaves in OUT_FOLDER:
     plume.usda        Volume /plume/smoke, camera /cameras/front, timeCodes 1..frames
@@ -171,7 +171,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Simulate a small plume of smoke.")
     parser.add_argument("out_folder", type=Path)
     parser.add_argument("--frames", type=int, default=12)
-    parser.add_argument("--resolution", type=int, default=64, help="voxels along the box's width")
+    parser.add_argument("--resolution", type=int, default=80, help="voxels along the box's width")
     options = parser.parse_args()
     if options.frames < 1 or options.resolution < 8:
         parser.error("--frames must be at least 1 and --resolution at least 8")
