@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Sequence
+from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
@@ -11,10 +11,7 @@ from PIL import Image
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.naming import DEFAULT_LOOK, look_suffix
 
-if TYPE_CHECKING:
-    from PIL import ImageDraw, ImageFont
-
-_STYLE = 256  # pixels of a style image along each side, at most
+_STYLE = 256  # pixels of a style image along each side, at most, in a column of its own
 _GAP = 8
 _LABEL = 24  # pixels of a line of text
 _TEXT_SIZE = 14
@@ -44,11 +41,13 @@ def compose_sheet(
     """Labelled pictures in rows, and style images, if there are any, at the right.
 
     Pictures are shown pixel by pixel. Style images are scaled without changing their proportions.
+    They stand beside the first rows where these are shorter than others, else in a column of their
+    own.
 
     Args:
         title: above everything.
         rows: labels and pictures, [H W 3] display-encoded in [0, 1].
-        styles: of the same kind; they share the last column.
+        styles: of the same kind; they share one column.
 
     Returns:
         [H W 3] float32, display-encoded, in [0, 1].
@@ -67,7 +66,9 @@ def compose_sheet(
     labels = [math.ceil(font.getlength(label)) for row in rows for label, _ in row]
     wide = max([wide, *labels])
     n_columns = max((len(row) for row in rows), default=0)
-    width = 2 * _MARGIN + n_columns * (wide + _GAP) + bool(styles) * (_STYLE + _GAP) - _GAP
+    beside = list(takewhile(lambda row: len(row) < n_columns, rows))  # rows with room at the right
+    width = 2 * _MARGIN + n_columns * (wide + _GAP) - _GAP
+    width += (_STYLE + _GAP) if styles and not beside else 0
     width = max(width, 2 * _MARGIN + math.ceil(font.getlength(title)))
     height = 2 * _MARGIN + _LABEL + max(len(rows), 1) * (tall + _LABEL + _GAP)
     sheet = Image.new("RGB", (width, height), _PAPER)
@@ -80,26 +81,31 @@ def compose_sheet(
             draw.text((left, top), label, _INK, font)
             sheet.paste(_image(picture), (left, top + _LABEL))
     if styles:
-        left = _MARGIN + n_columns * (wide + _GAP)
-        _paste_styles(sheet, draw, font, styles, left, height)
+        column = max(map(len, beside), default=n_columns)
+        place = (_MARGIN + column * (wide + _GAP), _MARGIN + _LABEL)
+        draw.text(place, "style", _INK, font)
+        room = (wide if beside else _STYLE, (len(beside) or max(len(rows), 1)) * (tall + _GAP))
+        _paste_styles(sheet, styles, (place[0], place[1] + _LABEL), room)
     return np.asarray(sheet, np.float32) / 255.0
 
 
 def _paste_styles(
     sheet: Image.Image,
-    draw: "ImageDraw.ImageDraw",
-    font: "ImageFont.ImageFont | ImageFont.FreeTypeFont",
     styles: Sequence[np.ndarray],
-    left: int,
-    height: int,
+    place: tuple[int, int],
+    room: tuple[int, int],
 ) -> None:
-    top = _MARGIN + _LABEL
-    draw.text((left, top), "style", _INK, font)
-    top += _LABEL
-    each = max(1, min(_STYLE, (height - _MARGIN - top) // len(styles) - _GAP))
+    """Style images below each other, as large as fits.
+
+    Args:
+        place: left and top of the first.
+        room: width and height of all.
+    """
+    (left, top), (wide, tall) = place, room
+    each = max(1, min(wide, tall // len(styles) - _GAP))
     for number, style in enumerate(styles):
         image = _image(style)
-        scale = min(_STYLE / image.width, each / image.height)
+        scale = min(wide / image.width, each / image.height)
         size = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
         image = image.resize(size, Image.Resampling.LANCZOS)
         sheet.paste(image, (left, top + number * (each + _GAP)))
