@@ -41,8 +41,8 @@ def compose_sheet(
     """Labelled pictures in rows, and style images, if there are any, at the right.
 
     Pictures are shown pixel by pixel. Style images are scaled without changing their proportions.
-    They stand beside the first rows where these are shorter than others, else in a column of their
-    own.
+    They stand beside the first rows where these are shorter than others and pictures are wide
+    enough, else in a column of their own.
 
     Args:
         title: above everything.
@@ -66,7 +66,8 @@ def compose_sheet(
     labels = [math.ceil(font.getlength(label)) for row in rows for label, _ in row]
     wide = max([wide, *labels])
     n_columns = max((len(row) for row in rows), default=0)
-    beside = list(takewhile(lambda row: len(row) < n_columns, rows))  # rows with room at the right
+    short = takewhile(lambda row: len(row) < n_columns, rows)
+    beside = list(short) if wide >= _STYLE else []  # rows with room at the right
     width = 2 * _MARGIN + n_columns * (wide + _GAP) - _GAP
     width += (_STYLE + _GAP) if styles and not beside else 0
     width = max(width, 2 * _MARGIN + math.ceil(font.getlength(title)))
@@ -84,7 +85,8 @@ def compose_sheet(
         column = max(map(len, beside), default=n_columns)
         place = (_MARGIN + column * (wide + _GAP), _MARGIN + _LABEL)
         draw.text(place, "style", _INK, font)
-        room = (wide if beside else _STYLE, (len(beside) or max(len(rows), 1)) * (tall + _GAP))
+        n_rows = len(beside) or max(len(rows), 1)
+        room = (wide if beside else _STYLE, n_rows * (tall + _LABEL + _GAP) - _LABEL)
         _paste_styles(sheet, styles, (place[0], place[1] + _LABEL), room)
     return np.asarray(sheet, np.float32) / 255.0
 

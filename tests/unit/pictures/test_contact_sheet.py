@@ -60,15 +60,21 @@ def test_several_styles_share_the_column_without_overlap() -> None:
 
 def test_styles_fill_the_room_beside_short_rows() -> None:
     """Source and result of three frames above a turn of four: no column is half empty."""
-    rows = [[("", flat(WHITE, 90, 60))] * n for n in (3, 3, 4)]
+    rows = [[("", flat(WHITE, 450, 300))] * n for n in (3, 3, 4)]
     sheet = compose_sheet("", rows, [flat(RED), flat(GREEN, 20, 40)])
     plain = compose_sheet("", rows)
     red, green, white = (where(sheet, colour) for colour in (RED, GREEN, WHITE))
     assert sheet.shape == plain.shape
-    assert red[1].stop - red[1].start == green[1].stop - green[1].start == 60
+    assert red[1].stop - red[1].start == green[1].stop - green[1].start == 300
     assert red[1].stop == green[1].stop == white[1].stop  # in the last picture's column
     last_row = np.argwhere(plain[:, red[1].start + 1].min(axis=-1) > 0.99)[0, 0]
     assert red[0].stop < green[0].start and green[0].stop < last_row
+
+
+def test_a_style_beside_small_pictures_is_not_as_small() -> None:
+    rows = [[("", flat(WHITE))] * n for n in (3, 3, 4)]
+    red, white = (where(compose_sheet("", rows, [flat(RED)]), colour) for colour in (RED, WHITE))
+    assert red[1].start > white[1].stop and red[1].stop - red[1].start > 80
 
 
 def test_a_sheet_without_frames_is_still_a_picture() -> None:
