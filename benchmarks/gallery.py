@@ -3,9 +3,9 @@
     python -m benchmarks.gallery [--only dabs mosaic ...] [--data ../shared/data] [--reuse]
 
 Every style is painted by code and stylizes a 3-D frame of the example plume, a 2-D slab and, where
-its file is, the real plume, all with default settings. The page tells CPU
-seconds and scores on views that the optimiser never had. Every cell is kept in the folder --work,
-and taken from there with --reuse, so that a run that was stopped goes on.
+its file is, the real plume, all with default settings. The page tells CPU seconds and scores on
+views that the optimiser never had. Every cell is kept in the folder --work, and taken from there
+with --reuse, so that a run that was stopped goes on.
 """
 
 import argparse
@@ -50,9 +50,9 @@ N_VIEWS = 6
 
 ABOUT = (
     "Styles painted by `examples/styles/paint.py`, with default settings. Each picture shows the "
-    "style, the example plume from the front and from the side, a 2-D slab, and the real plume "
-    "from the front and from the side. [Quality and cost](../README.md#quality-and-cost) explains "
-    "the scores, which are from all sides."
+    "style, the example plume from the front and from the side, a 2-D slab, and, where its file is "
+    "there, the real plume from the front and from the side. [Quality and "
+    "cost](../README.md#quality-and-cost) explains the scores, which are from all sides."
 )
 
 
@@ -179,7 +179,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--reuse", action="store_true", help="cells that are there already")
     options = parser.parse_args(arguments)
     try:
-        frames: dict[str, VolumeFrame] = dict(simulate_once(options.work, True, RESOLUTION))
+        frames: dict[str, VolumeFrame] = dict(
+            simulate_once(options.work, reuse=True, resolution=RESOLUTION)
+        )
         if (options.data / PLUME_FILE).is_file():
             frames["real"] = find_scenes(["real_plume"], REAL_WIDTH, options.data)[0]["real_plume"]
         styles = paint_styles(options.only)
@@ -191,7 +193,7 @@ def main(arguments: list[str] | None = None) -> int:
         for style in options.only:
             rows[style] = []
             for kind in kinds:
-                kept = options.work / "gallery" / f"{style}_{kind}.npz"
+                kept = options.work / f"gallery_{RESOLUTION}" / f"{style}_{kind}.npz"
                 if not (options.reuse and kept.is_file()):
                     keep_cell(make_cell(studio, kind, style), kept)
                 rows[style].append(cell := kept_cell(kept))

@@ -10,7 +10,7 @@ from benchmarks import control_pictures, control_studio
 from benchmarks.control_pictures import GRIDS, KINDS
 from benchmarks.control_scenes import fading_mask, frame_of
 from benchmarks.control_studio import Studio, draw_grid, save_grid
-from benchmarks.gallery import Cell, keep_cell, kept_cell
+from benchmarks.gallery import Cell, keep_cell, kept_cell, write_page
 from tests.fixtures.smoke_fixtures import puff, random_style
 from usdsmoke.core.style.losses import StyleTarget
 
@@ -74,3 +74,12 @@ def test_a_cell_of_the_gallery_is_kept_and_found_again(tmp_path):
     assert (found.kind, found.cpu_s, found.scores) == (cell.kind, cell.cpu_s, cell.scores)
     assert len(found.pictures) == 2
     assert all(map(np.array_equal, found.pictures, pictures))
+
+
+def test_the_gallery_has_pictures_in_rows_that_a_page_is_wide_enough_for(tmp_path):
+    scores = dict.fromkeys(("patch", "colour", "spectrum", "edges", "outliers"), 0.5)
+    cell = Cell("3-D", [np.ones((400, 350, 3), np.float32)] * 2, 1.0, scores)
+    write_page(tmp_path / "g.md", {"dabs": [cell, cell]}, {"dabs": np.ones((9, 9, 3))}, "command")
+    with Image.open(tmp_path / "pictures" / "gallery" / "dabs.webp") as sheet:
+        assert sheet.height > 2 * 400 and 2 * 350 < sheet.width <= 1000
+    assert "pictures/gallery/dabs.webp" in (tmp_path / "g.md").read_text()

@@ -154,6 +154,19 @@ def test_corner_samples_are_exact_on_a_linear_field(solver: ModuleType) -> None:
     assert np.all(low <= sampled) and np.all(sampled <= high)
 
 
+def test_corner_samples_are_the_same_in_one_chunk_and_in_many(
+    solver: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = np.random.default_rng(1)
+    values = source.random((6, 5, 4, 3), np.float32)
+    positions = source.random((3, 7, 2, 3), np.float32) * 7 - 1  # beyond the box too
+    one = solver.corner_samples(values, positions)
+    monkeypatch.setattr(solver, "CHUNK", 5)
+    many = solver.corner_samples(values, positions)
+    assert [part.shape for part in many] == [(3, 7, 2, 3)] * 3
+    assert all(map(np.array_equal, one, many))
+
+
 def test_plume_is_the_same_every_time(solver: ModuleType) -> None:
     def density() -> np.ndarray:
         smoke = solver.SmokeSolver(10, solver.PlumeSettings())

@@ -41,8 +41,8 @@ def compose_sheet(
     """Labelled pictures in rows, and style images, if there are any, at the right.
 
     Pictures are shown pixel by pixel. Style images are scaled without changing their proportions.
-    They stand beside the first rows where these are shorter than others and pictures are wide
-    enough, else in a column of their own.
+    If the first rows are shorter than the longest one, style images stand beside these rows, unless
+    a column of their own shows them larger.
 
     Args:
         title: above everything.
@@ -66,8 +66,13 @@ def compose_sheet(
     labels = [math.ceil(font.getlength(label)) for row in rows for label, _ in row]
     wide = max([wide, *labels])
     n_columns = max((len(row) for row in rows), default=0)
-    short = takewhile(lambda row: len(row) < n_columns, rows)
-    beside = list(short) if wide >= _STYLE else []  # rows with room at the right
+    beside = list(takewhile(lambda row: len(row) < n_columns, rows))  # rows with room at the right
+    there, own = (
+        (side, (max(n_rows, 1) * (tall + _LABEL + _GAP) - _LABEL) // max(len(styles), 1) - _GAP)
+        for side, n_rows in ((wide, len(beside)), (_STYLE, len(rows)))
+    )
+    if min(there) < min(own):
+        beside = []
     width = 2 * _MARGIN + n_columns * (wide + _GAP) - _GAP
     width += (_STYLE + _GAP) if styles and not beside else 0
     width = max(width, 2 * _MARGIN + math.ceil(font.getlength(title)))
@@ -85,9 +90,7 @@ def compose_sheet(
         column = max(map(len, beside), default=n_columns)
         place = (_MARGIN + column * (wide + _GAP), _MARGIN + _LABEL)
         draw.text(place, "style", _INK, font)
-        n_rows = len(beside) or max(len(rows), 1)
-        room = (wide if beside else _STYLE, n_rows * (tall + _LABEL + _GAP) - _LABEL)
-        _paste_styles(sheet, styles, (place[0], place[1] + _LABEL), room)
+        _paste_styles(sheet, styles, (place[0], place[1] + _LABEL), there if beside else own)
     return np.asarray(sheet, np.float32) / 255.0
 
 
@@ -97,20 +100,20 @@ def _paste_styles(
     place: tuple[int, int],
     room: tuple[int, int],
 ) -> None:
-    """Style images below each other, as large as fits.
+    """Style images below each other, each as large as fits.
 
     Args:
         place: left and top of the first.
-        room: width and height of all.
+        room: width and height for each.
     """
     (left, top), (wide, tall) = place, room
-    each = max(1, min(wide, tall // len(styles) - _GAP))
-    for number, style in enumerate(styles):
+    for style in styles:
         image = _image(style)
-        scale = min(wide / image.width, each / image.height)
+        scale = min(wide / image.width, tall / image.height)
         size = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
         image = image.resize(size, Image.Resampling.LANCZOS)
-        sheet.paste(image, (left, top + number * (each + _GAP)))
+        sheet.paste(image, (left, top))
+        top += image.height + _GAP
 
 
 def _image(picture: np.ndarray) -> Image.Image:

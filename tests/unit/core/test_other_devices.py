@@ -105,7 +105,7 @@ def test_enlarged_pictures_end_where_the_processor_does(
     config = CONFIG.replace(
         optimize=CONFIG.optimize.replace(steps=("colour",)),
         colour=CONFIG.colour.replace(iterations=(8, 8)),
-        # the second has ways to and from the nearest features
+        # `losses.nearest` acts on learned layers alone
         features=CONFIG.features.replace(layers=("oriented1", "learned2")),
         views=CONFIG.views.replace(image_size=40),
     )

@@ -71,10 +71,19 @@ def test_styles_fill_the_room_beside_short_rows() -> None:
     assert red[0].stop < green[0].start and green[0].stop < last_row
 
 
-def test_a_style_beside_small_pictures_is_not_as_small() -> None:
-    rows = [[("", flat(WHITE))] * n for n in (3, 3, 4)]
-    red, white = (where(compose_sheet("", rows, [flat(RED)]), colour) for colour in (RED, WHITE))
+@pytest.mark.parametrize(
+    ("lengths", "size", "n_styles"),
+    [((3, 3, 4), (40, 40), 1), ((1, 4), (450, 300), 3), ((4, 3), (450, 300), 1)],
+    ids=["small pictures", "several styles", "a long row first"],
+)
+def test_styles_have_a_column_of_their_own_where_they_are_larger_there(
+    lengths: tuple[int, ...], size: tuple[int, int], n_styles: int
+) -> None:
+    rows = [[("", flat(WHITE, *size))] * n for n in lengths]
+    sheet = compose_sheet("", rows, [flat(RED), flat(GREEN), flat(BLUE)][:n_styles])
+    red, white = (where(sheet, colour) for colour in (RED, WHITE))
     assert red[1].start > white[1].stop and red[1].stop - red[1].start > 80
+    assert sheet.shape[1] > compose_sheet("", rows).shape[1]
 
 
 def test_a_sheet_without_frames_is_still_a_picture() -> None:

@@ -177,7 +177,7 @@ def test_a_velocity_without_a_relationship_is_not_copied_and_the_plan_says_so(
     [
         (70, (), 3),  # a dragon, smeared
         (23, (), 4),
-        (107, (), None),  # the example plume, good
+        (107, (), None),  # the example plume with 64 voxels across, good
         (222, (), None),  # cortex' smoke, good
         (4, (), None),
         (70, ("grids.refine=2",), None),
