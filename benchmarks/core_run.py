@@ -41,7 +41,8 @@ def _run_new(job: dict[str, Any]) -> dict[str, Any]:
     from usdsmoke.core.views.scene import fit_view, measure_scene
 
     frame = VolumeFrame(1.0, DenseField("density", *job["density"]), np.eye(4))
-    config = resolve_config(*job["settings"], "optimize.threads=1")
+    # the smoke as it is, as be60f8a sees it and the truth has it
+    config = resolve_config(*job["settings"], "optimize.threads=1", "optics.thicken=1")
     begun = time.process_time()
     scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
     context = make_context([job["style"]], scene, config, None, 24.0, None, 1)
