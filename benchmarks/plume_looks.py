@@ -1,0 +1,87 @@
+"""Looks of the real plume with several settings, their pictures beside each other."""
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image, ImageSequence
+
+import usdsmoke
+from benchmarks.houdini_grids import join_pictures
+from benchmarks.stages import find_stages
+from usdsmoke.runs.assemble import StylizeResult
+
+__all__ = ["Comparison"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a benchmark compares.
+
+    Args:
+        name: of its module.
+        about: its help.
+        variants: settings by the name of a look.
+        turn: views of a turn around the smoke, of which the first two are drawn.
+        size: width and height of a picture, pixels.
+        width: of a row, pixels.
+    """
+
+    name: str
+    about: str
+    variants: Mapping[str, Sequence[str]]
+    turn: int
+    size: tuple[int, int]
+    width: int
+
+    def run(self, tell: Callable[[Path, str, StylizeResult, Path], None]) -> None:
+        """Run the command line.
+
+        Args:
+            tell: prints what is measured; called with the style, the name of the variant, its
+                result and the folder of real volumes.
+        """
+        parser = argparse.ArgumentParser(description=self.about)
+        parser.add_argument("styles", nargs="+", type=Path, help="style images")
+        parser.add_argument("--data", default="../shared/data", type=Path, help="real volumes")
+        parser.add_argument(
+            "--out", default=f"out/bench/{self.name}", type=Path, help="folder for looks"
+        )
+        parser.add_argument("--picture", type=Path, help="file of the picture")
+        given = parser.parse_args()
+        try:
+            stage = find_stages(given.data, given.out)["real_plume"]
+        except FileNotFoundError as error:
+            sys.exit(f"benchmarks.{self.name}: {error}")
+        rows = []
+        for style in given.styles:
+            pictures = []
+            for variant, settings in self.variants.items():
+                name = f"{style.stem}_{variant}"
+                result = usdsmoke.stylize(
+                    stage, style=style, output=given.out / name, force=True,
+                    settings=[*settings, "layer.contact_sheet=0"],
+                )  # fmt: skip
+                tell(style, variant, result, given.data)
+                pictures += self._sides(result.root_stage, given.out / f"{name}.webp")
+            rows.append(join_pictures(pictures, self.width))
+        if given.picture:
+            whole = Image.new("RGB", (self.width, sum(row.height for row in rows)))
+            top = 0
+            for row in rows:
+                whole.paste(row, (0, top))
+                top += row.height
+            whole.save(given.picture, quality=85, method=6)
+            print(given.picture)
+
+    def _sides(self, stage: Path, file_path: Path) -> list[Path]:
+        """Pictures of the first two views of a turn."""
+        usdsmoke.preview(stage, file_path, turntable=self.turn, size=self.size, background="black")
+        found = []
+        with Image.open(file_path) as turn:
+            for number, picture in zip(range(2), ImageSequence.Iterator(turn), strict=False):
+                found.append(file_path.with_name(f"{file_path.stem}_{number}.png"))
+                picture.convert("RGB").save(found[-1])
+        return found
