@@ -22,7 +22,6 @@ class Comparison:
 
     Args:
         name: of its module.
-        about: its help.
         variants: settings by the name of a look.
         turn: views of a turn around the smoke, of which the first two are drawn.
         size: width and height of a picture, pixels.
@@ -30,26 +29,28 @@ class Comparison:
     """
 
     name: str
-    about: str
     variants: Mapping[str, Sequence[str]]
     turn: int
     size: tuple[int, int]
     width: int
 
-    def run(self, tell: Callable[[Path, str, StylizeResult, Path], None]) -> None:
+    def run(
+        self,
+        parser: argparse.ArgumentParser,
+        tell: Callable[[Path, str, StylizeResult, Path], None],
+    ) -> None:
         """Run the command line.
 
         Args:
+            parser: with the option ``--picture``, the file of the picture or None; gets the others.
             tell: prints what is measured; called with the style, the name of the variant, its
                 result and the folder of real volumes.
         """
-        parser = argparse.ArgumentParser(description=self.about)
         parser.add_argument("styles", nargs="+", type=Path, help="style images")
         parser.add_argument("--data", default="../shared/data", type=Path, help="real volumes")
         parser.add_argument(
             "--out", default=f"out/bench/{self.name}", type=Path, help="folder for looks"
         )
-        parser.add_argument("--picture", type=Path, help="file of the picture")
         given = parser.parse_args()
         try:
             stage = find_stages(given.data, given.out)["real_plume"]

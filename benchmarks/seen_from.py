@@ -7,6 +7,7 @@ from all sides, all else by default. A row of the picture is a style; it has the
 of each. Prints scores of held-out views from the front and from all sides.
 """
 
+import argparse
 from pathlib import Path
 
 from pxr import Usd
@@ -42,8 +43,9 @@ def tell_scores(style: Path, pool: str, made: StylizeResult, data: Path) -> None
 
 def main() -> None:
     """Runs the benchmark from the command line."""
-    about = (__doc__ or "").splitlines()[0]
-    Comparison("seen_from", about, POOLS, turn=4, size=(256, 480), width=1024).run(tell_scores)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--picture", type=Path, help="file of the picture")
+    Comparison("seen_from", POOLS, turn=4, size=(256, 480), width=1024).run(parser, tell_scores)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ style; it has the front and the back of each value, in the order of VALUES. Prin
 result beside that of the source.
 """
 
+import argparse
 from functools import cache
 from pathlib import Path
 
@@ -39,9 +40,10 @@ def tell_mass(style: Path, value: str, result: StylizeResult, data: Path) -> Non
 
 def main() -> None:
     """Runs the benchmark from the command line."""
-    about = (__doc__ or "").splitlines()[0]
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--picture", type=Path, help="file of the picture")
     variants = {str(value): [f"optics.thicken={value}"] for value in VALUES}
-    Comparison("thin_smoke", about, variants, turn=2, size=(256, 384), width=1200).run(tell_mass)
+    Comparison("thin_smoke", variants, turn=2, size=(256, 384), width=1200).run(parser, tell_mass)
 
 
 if __name__ == "__main__":
