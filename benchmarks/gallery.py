@@ -3,7 +3,8 @@
     python -m benchmarks.gallery [--only dabs mosaic ...] [--data ../shared/data] [--reuse]
 
 Every style is painted by code and stylizes a 3-D frame of the example plume, a 2-D slab and, where
-its file is, the real plume, all with default settings. The page tells CPU seconds and scores on
+its file is, the real plume, with default settings. The plumes are stylized a second time with views
+around the front, as far as those of a shot's camera go. The page tells CPU seconds and scores on
 views that the optimiser never had. Every cell is kept in the folder --work, and taken from there
 with --reuse, so that a run that was stopped goes on.
 """
@@ -30,9 +31,11 @@ from benchmarks.equal_judge import find_scenes
 from benchmarks.held_out import Result, held_out_angles, score_result
 from benchmarks.splats import render_view
 from benchmarks.stages import PLUME_FILE
+from benchmarks.style_scores import FRONT
 from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.base.sections import StyleConfig
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.smoke.schedule import ALL_ROUND, AROUND_CAMERA
 from usdsmoke.core.style.style_image import scale_style
 
 __all__ = ["Cell", "keep_cell", "kept_cell", "main", "make_cell", "write_page"]
@@ -43,16 +46,22 @@ GAP = 6
 GREY = np.full(3, 0.12, np.float32)  # display-encoded, behind the smoke
 RESOLUTION = 80  # voxels across the box of the example plume, as in `make demo`
 REAL_WIDTH = 111  # voxels across the real plume: all of them
-TURNS = {"3-D": (0.0, 90.0), "2-D": (0.0,), "real": (0.0, 90.0)}  # degrees of azimuth
-NAMES = {"3-D": "example plume", "2-D": "2-D slab", "real": "real plume"}
+# degrees of azimuth by kind
+TURNS = {"3-D": (0.0, 90.0), "3-D front": (0.0,), "2-D": (0.0,), "real": (0.0, 90.0),
+         "real front": (0.0,)}  # fmt: skip
+NAMES = {"3-D": "example plume", "3-D front": "example plume, as with a camera in front",
+         "2-D": "2-D slab",
+         "real": "real plume", "real front": "real plume, as with a camera in front"}  # fmt: skip
 MEASURES = {"patch": "patches", "colour": "colours", "spectrum": "spectrum", "edges": "edges"}
 N_VIEWS = 6
 
 ABOUT = (
     "Styles painted by `examples/styles/paint.py`, with default settings. Each picture shows the "
-    "style, the example plume from the front and from the side, a 2-D slab, and, where its file is "
-    "there, the real plume from the front and from the side. [Quality and "
-    "cost](../README.md#quality-and-cost) explains the scores, which are from all sides."
+    "style, the example plume from the front and from the side, and once more from the front with "
+    "the views that a camera in front of it gives. A 2-D slab follows. Where its file is there, "
+    "the real plume is shown like the example plume. [Cameras](stylize.md#cameras) shows what the "
+    "views of a camera gain and lose. [Quality and cost](../README.md#quality-and-cost) explains "
+    "the scores. They are from all sides, or from the front with a camera there."
 )
 
 
@@ -99,6 +108,10 @@ def _picture(look: Look, azimuth: float) -> np.ndarray:
     return composite(drawn[..., :3], drawn[..., 3], GREY)
 
 
+def _is_front(kind: str) -> bool:
+    return kind.endswith(" front")
+
+
 def _scores(look: Look, style: np.ndarray, kind: str) -> dict[str, float]:
     frame, scene = look.frame, look.scene
     assert frame.emission is not None
@@ -108,7 +121,8 @@ def _scores(look: Look, style: np.ndarray, kind: str) -> dict[str, float]:
     if kind == "2-D":
         found, _ = score_result(result, scaled, [(0.0, 0.0)], size, "splats")
     else:
-        found, _ = score_result(result, scaled, held_out_angles(N_VIEWS, 180.0, 40.0), size)
+        ranges = AROUND_CAMERA if _is_front(kind) else ALL_ROUND
+        found, _ = score_result(result, scaled, held_out_angles(N_VIEWS, *ranges), size)
     return {name: float(found[name]["mean"]) for name in (*MEASURES, "outliers")}
 
 
@@ -184,9 +198,12 @@ def main(arguments: list[str] | None = None) -> int:
         )
         if (options.data / PLUME_FILE).is_file():
             frames["real"] = find_scenes(["real_plume"], REAL_WIDTH, options.data)[0]["real_plume"]
+        for kind in set(frames) & {"3-D", "real"}:
+            frames[f"{kind} front"] = frames[kind]
         styles = paint_styles(options.only)
         threads = [f"optimize.threads={options.threads}"]
-        studio = Studio(frames, styles, dict.fromkeys(frames, threads))
+        settings = {kind: [*threads, *(FRONT if _is_front(kind) else [])] for kind in frames}
+        studio = Studio(frames, styles, settings)
         kinds = [kind for kind in TURNS if kind in frames]
         rows: dict[str, list[Cell]] = {}
         words = arguments if arguments is not None else sys.argv[1:]

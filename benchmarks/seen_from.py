@@ -14,15 +14,15 @@ from pxr import Usd
 
 from benchmarks.held_out import held_out_angles, read_result, read_style, score_result
 from benchmarks.plume_looks import Comparison
-from benchmarks.style_scores import IMAGE_SIZE, RANGES
-from benchmarks.time_scores import ALL_ROUND
+from benchmarks.style_scores import FRONT, IMAGE_SIZE, RANGES
+from usdsmoke.core.smoke.schedule import ALL_ROUND
 from usdsmoke.runs.assemble import StylizeResult
 
 __all__ = ["POOLS", "main"]
 
 AS_LARGE = "style.size=1"  # as the style that the scores compare with
 POOLS = {
-    "narrow": [AS_LARGE, "views.azimuth=12", "views.elevation=6"],
+    "narrow": [AS_LARGE, *FRONT],
     "all_round": [AS_LARGE],
 }
 ANGLES = {"front": RANGES["front"], "all round": ALL_ROUND}  # of held-out views

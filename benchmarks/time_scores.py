@@ -22,7 +22,7 @@ from benchmarks.circumstances import publish, table_page
 from benchmarks.held_out import held_out_angles, read_result, read_style, score_result
 from benchmarks.presets import unseen_loss
 from usdsmoke.base.settings import Config
-from usdsmoke.core.smoke.schedule import octave_iterations
+from usdsmoke.core.smoke.schedule import ALL_ROUND, octave_iterations
 from usdsmoke.pictures import read_style_image
 
 __all__ = ["WAYS", "Point", "main", "measure"]
@@ -35,7 +35,7 @@ WAYS: dict[str, tuple[bool, list[str]]] = {
 }
 LOOKS = {name: look for name, look in zip(WAYS, ("#c03020", "#3060a0", "#408040"), strict=True)}
 MEASURES = {"patch": "patches", "spectrum_root": "spectrum root", "edges": "edges"}
-N_VIEWS, IMAGE_SIZE, ALL_ROUND = 6, 192, (180.0, 40.0)
+N_VIEWS, IMAGE_SIZE = 6, 192
 _RUN = (
     "import sys; from usdsmoke.core.style import sliced\n"
     "sliced.FEWEST_PER_BIN = 10**9 if sys.argv.pop(1) == 'sort' else sliced.FEWEST_PER_BIN\n"

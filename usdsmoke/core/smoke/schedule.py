@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from usdsmoke.base.sections import ViewsConfig
 
 # degrees, half the ranges of azimuth and elevation of the views
-ALL_ROUND = (180.0, 40.0)
+ALL_ROUND = (180.0, 20.0)
 AROUND_CAMERA = (12.0, 6.0)
 MOST_ALIKE = 60_000  # voxels: frames with more are learned in fewer iterations
 BEHIND = 0.25  # of the finest octave's iterations: behind a network
