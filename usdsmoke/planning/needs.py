@@ -16,7 +16,7 @@ from usdsmoke.planning.copied import REPLACED
 from usdsmoke.planning.features import start_needed
 from usdsmoke.planning.materials import lights_needed, lights_omitted, materials_needed
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
-from usdsmoke.planning.visibility import pixel_sizes
+from usdsmoke.planning.visibility import invisible_parts, without_camera
 
 Volumes = Sequence[VolumePlan]
 
@@ -83,7 +83,7 @@ def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple
             *_omitted_steps(own),
             *_omitted_losses(own),
             *_omitted_strength(own, members),
-            *_omitted_views(own, members),
+            *_omitted_views(own, members, source.cameras),
             *_omitted_inputs(own, members),
         ]
         omitted += [replace(item, what=f"{item.what}{where}") for item in found]
@@ -274,49 +274,16 @@ def _omitted_strength(config: Config, volumes: Volumes) -> list[Omission]:
     return omitted
 
 
-def _omitted_views(config: Config, volumes: Volumes) -> list[Omission]:
+def _omitted_views(config: Config, volumes: Volumes, cameras: Sequence[str]) -> list[Omission]:
     omitted = []
     if has_one_view(config.views):
         omitted.append(Omission("other views", "views.azimuth and views.elevation are 0"))
     if not takes_effect(config, volumes):
         return omitted
     if not config.views.camera:
-        reason = "views.camera is not set; views are around the up axis"
-        return [*omitted, Omission("the shot's camera", reason, expected=True)]
+        return [*omitted, without_camera(config, cameras)]
     for volume in volumes:
-        omitted += _invisible(config, volume)
-    return omitted
-
-
-def _invisible(config: Config, volume: VolumePlan) -> list[Omission]:
-    """What the camera does not see or resolve."""
-    omitted, where = [], f"of <{volume.source.prim_path}>"
-    filled = [frame for frame in volume.frames if not frame.is_empty]
-    outside = [frame for frame in filled if frame.size.visible == 0]
-    if outside:
-        omitted.append(
-            Omission(
-                f"the effect at {_time_codes(outside)} {where}",
-                "outside the camera's frustum",
-            )
-        )
-    n_active = sum(frame.size.active_voxels for frame in filled)
-    n_visible = sum(frame.size.active_voxels * frame.size.visible for frame in filled)
-    if n_visible < n_active:
-        omitted.append(
-            Omission(
-                f"about {1 - n_visible / n_active:.0%} of the smoke {where}",
-                "it is outside the camera's frustum (views.camera) and stays as in the source",
-            )
-        )
-    finest, pixel = pixel_sizes(config, volume, filled)
-    if finest > pixel:
-        omitted.append(
-            Omission(
-                f"detail finer than {finest:.3g} stage units {where}",
-                "the camera does not resolve it at the smoke's distance (views.camera_width)",
-            )
-        )
+        omitted += invisible_parts(config, volume)
     return omitted
 
 

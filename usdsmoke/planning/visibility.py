@@ -1,4 +1,4 @@
-"""What a shot's camera can see of a box, from VDB headers alone."""
+"""What a shot's camera can see of a box, from VDB headers alone, and what is left out for it."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -6,9 +6,10 @@ from functools import lru_cache
 import numpy as np
 
 from usdsmoke.base.settings import Config
+from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import CameraSource, FieldSource, FrameSource
 from usdsmoke.core.views.frustum import frustum_of, pixel_footprint
-from usdsmoke.planning.plan import FramePlan, VolumePlan
+from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.vdb.header import GridHeader
 
 _SAMPLES = 16  # points along each side of a box
@@ -122,6 +123,51 @@ def rounding(density: FieldSource, grid: GridHeader) -> float:
         return 0.0
     edges = np.linalg.norm((grid.index_to_world @ density.field_to_stage)[:3, :3], axis=1)
     return float(np.spacing(np.abs(points[0]).max()) / edges.min())
+
+
+def without_camera(config: Config, cameras: Sequence[str]) -> Omission:
+    """The views of a camera, where none is set; unusual if the stage has one.
+
+    Args:
+        cameras: prim paths of the stage's.
+    """
+    if not cameras or config.views.azimuth is not None:
+        reason = "views.camera is not set; views are around the up axis"
+        return Omission("the shot's camera", reason, expected=True)
+    others = f" (or another of {len(cameras)})" if len(cameras) > 1 else ""
+    return Omission(
+        "the shot's camera",
+        f"views are from all sides; --camera {cameras[0]}{others} gives clearer marks in its "
+        "picture, which smear from other sides",
+    )
+
+
+def invisible_parts(config: Config, volume: VolumePlan) -> list[Omission]:
+    """What the camera does not see or resolve."""
+    omitted, where = [], f"of <{volume.source.prim_path}>"
+    filled = [frame for frame in volume.frames if not frame.is_empty]
+    outside = [frame for frame in filled if frame.size.visible == 0]
+    if outside:
+        codes = name_time_codes(frame.source.time_code for frame in outside)
+        omitted.append(Omission(f"the effect at {codes} {where}", "outside the camera's frustum"))
+    n_active = sum(frame.size.active_voxels for frame in filled)
+    n_visible = sum(frame.size.active_voxels * frame.size.visible for frame in filled)
+    if n_visible < n_active:
+        omitted.append(
+            Omission(
+                f"about {1 - n_visible / n_active:.0%} of the smoke {where}",
+                "it is outside the camera's frustum (views.camera) and stays as in the source",
+            )
+        )
+    finest, pixel = pixel_sizes(config, volume, filled)
+    if finest > pixel:
+        omitted.append(
+            Omission(
+                f"detail finer than {finest:.3g} stage units {where}",
+                "the camera does not resolve it at the smoke's distance (views.camera_width)",
+            )
+        )
+    return omitted
 
 
 def _box_points(density: FieldSource, grid: GridHeader) -> tuple[np.ndarray, np.ndarray] | None:

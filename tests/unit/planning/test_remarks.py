@@ -257,3 +257,23 @@ def test_volumes_in_the_same_place_are_named(tmp_path: Path, start: int, named: 
     notes = plan_request(Request(stage, style, tmp_path / "look", [])).notes
     found = ["</World/small>" in note for note in notes if "same place" in note]
     assert found == [True] * named
+
+
+@pytest.mark.parametrize(
+    ("n_cameras", "setting", "told"),
+    [(0, "", False), (1, "", True), (2, "", True), (1, "views.azimuth=12", False),
+     (1, "views.camera=/World/cam0", False)],
+)  # fmt: skip
+def test_a_camera_that_no_view_is_taken_from_is_told(
+    shot: Shot, n_cameras: int, setting: str, told: bool
+) -> None:
+    cameras = "".join(
+        f'\ndef Camera "cam{number}"\n{{\ndouble3 xformOp:translate = (1, 1, 50)\n'
+        'uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n'
+        for number in range(n_cameras)
+    )
+    write_text(shot.stage, world(volume_prim(density_prim(sequence([1]))) + cameras))
+    omitted = plan_of(shot, *([setting] if setting else [])).omitted
+    unusual = [item.reason for item in omitted if "camera" in item.what and not item.expected]
+    assert [("/World/cam0" in reason) for reason in unusual] == [True] * told
+    assert all(("another of 2" in reason) == (n_cameras == 2) for reason in unusual)

@@ -65,7 +65,7 @@ def read_camera(stage: Usd.Stage, prim_path: str, time_code: float) -> CameraSou
 def seen_through(
     stage: Usd.Stage, source: StageSource, prim_paths: str | Sequence[str]
 ) -> StageSource:
-    """The same Volumes, with a camera at every selected timeCode.
+    """The same Volumes, with a camera at every selected timeCode, and the stage's cameras.
 
     Args:
         prim_paths: of a prim of type Camera, for all Volumes or one for each; "" is none.
@@ -85,7 +85,7 @@ def seen_through(
             replace(frame, camera=cameras.get((path, frame.time_code))) for frame in volume.frames
         )
         volumes.append(replace(volume, frames=frames))
-    return replace(source, volumes=tuple(volumes))
+    return replace(source, volumes=tuple(volumes), cameras=tuple(list_cameras(stage)))
 
 
 def _find_camera(stage: Usd.Stage, path: str) -> UsdGeom.Camera:
