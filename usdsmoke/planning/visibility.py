@@ -136,9 +136,9 @@ def without_camera(config: Config, cameras: Sequence[str]) -> Omission:
         return Omission("the shot's camera", reason, expected=True)
     others = f" (or another of {len(cameras)})" if len(cameras) > 1 else ""
     return Omission(
-        "the shot's camera",
-        f"views are from all sides; --camera {cameras[0]}{others} gives clearer marks in its "
-        "picture, which smear from other sides",
+        "views of a camera",
+        f"--camera {cameras[0]}{others} gives clearer marks in its picture. They smear from other "
+        "sides, and only what it sees is stylized",
     )
 
 
