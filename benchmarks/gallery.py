@@ -41,7 +41,7 @@ from usdsmoke.core.style.style_image import scale_style
 __all__ = ["Cell", "keep_cell", "kept_cell", "main", "make_cell", "write_page"]
 
 HEIGHT = 400  # pixels of a picture in the gallery
-WIDEST = 1000  # pixels of a row
+WIDEST = 1280  # pixels of a row
 GAP = 6
 GREY = np.full(3, 0.12, np.float32)  # display-encoded, behind the smoke
 RESOLUTION = 80  # voxels across the box of the example plume, as in `make demo`
@@ -56,12 +56,12 @@ MEASURES = {"patch": "patches", "colour": "colours", "spectrum": "spectrum", "ed
 N_VIEWS = 6
 
 ABOUT = (
-    "Styles painted by `examples/styles/paint.py`, with default settings. Each picture shows the "
-    "style, the example plume from the front and from the side, and once more from the front with "
-    "the views that a camera in front of it gives. A 2-D slab follows. Where its file is there, "
-    "the real plume is shown like the example plume. [Cameras](stylize.md#cameras) shows what the "
-    "views of a camera gain and lose. [Quality and cost](../README.md#quality-and-cost) explains "
-    "the scores. They are from all sides, or from the front with a camera there."
+    "Styles painted by `examples/styles/paint.py`, with default settings. First row: the style; the "
+    "example plume from the front and from the side; the same plume from the front, stylized with "
+    "the views of a camera there. Second row: a 2-D slab and, where its file is, the real plume in "
+    "the same three pictures. [Cameras](stylize.md#cameras) shows what a camera's views gain and "
+    "lose. [Quality and cost](../README.md#quality-and-cost) explains the scores. They are from "
+    "all sides; rows with a camera are scored from the front."
 )
 
 

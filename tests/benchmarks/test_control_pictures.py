@@ -81,5 +81,5 @@ def test_the_gallery_has_pictures_in_rows_that_a_page_is_wide_enough_for(tmp_pat
     cell = Cell("3-D", [np.ones((400, 350, 3), np.float32)] * 2, 1.0, scores)
     write_page(tmp_path / "g.md", {"dabs": [cell, cell]}, {"dabs": np.ones((9, 9, 3))}, "command")
     with Image.open(tmp_path / "pictures" / "gallery" / "dabs.webp") as sheet:
-        assert sheet.height > 2 * 400 and 2 * 350 < sheet.width <= 1000
+        assert sheet.height > 2 * 400 and 2 * 350 < sheet.width <= 1280
     assert "pictures/gallery/dabs.webp" in (tmp_path / "g.md").read_text()
