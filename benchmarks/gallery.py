@@ -57,11 +57,11 @@ N_VIEWS = 6
 
 ABOUT = (
     "Styles painted by `examples/styles/paint.py`, with default settings. First row: the style; "
-    "the example plume from the front and from the side; the same plume from the front, stylized with "
-    "the views of a camera there. Second row: a 2-D slab and, where its file is, the real plume in "
-    "the same three pictures. [Cameras](stylize.md#cameras) shows what a camera's views gain and "
-    "lose. [Quality and cost](../README.md#quality-and-cost) explains the scores. They are from "
-    "all sides; rows with a camera are scored from the front."
+    "the example plume from the front and from the side; the same plume from the front, stylized "
+    "with the views of a camera there. Second row: a 2-D slab and, where its file is, the real "
+    "plume in the same three pictures. [Cameras](stylize.md#cameras) shows what a camera's views "
+    "gain and lose. [Quality and cost](../README.md#quality-and-cost) explains the scores. They "
+    "are from all sides; rows with a camera are scored from the front."
 )
 
 
