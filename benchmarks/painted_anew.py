@@ -1,6 +1,6 @@
 """What the scores of a perfect painter are: other pictures by the hand that painted the style.
 
-    python -m benchmarks.painted_anew out/bench/strokes [--seeds 8 9] [--report anew.md]
+    python -m benchmarks.painted_anew out/bench/strokes_front [--seeds 8 9] [--report anew.md]
 
 The anchor 1 of `measures.score_views` pastes pieces of the style image itself, in which exact
 copies of its patches are found. A painter does not copy. So the painted styles are painted anew

@@ -112,7 +112,7 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--report", type=Path, help="Markdown file for the table")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings")
     parser.add_argument("--views", type=int, default=N_VIEWS, help="held-out views of each kind")
-    parser.add_argument("--quick", action="store_true", help="the front only")
+    parser.add_argument("--quick", action="store_true", help="the runs with front views only")
     parser.add_argument("--reuse", action="store_true", help="score results that are there already")
     return parser.parse_args(arguments)
 
@@ -164,7 +164,8 @@ def _report(runs: Sequence[Run], n_views: int, arguments: Sequence[str]) -> str:
         f"{n_views} held-out views a row, drawn from the written file by",
         "`benchmarks/raymarch.py`. *Front*: the optimiser has views within 12 degrees of azimuth",
         "and 6 of elevation, as with a shot's camera, and so are the held-out ones. *All round*:",
-        "the default views. Closure 0 is the smoke tinted with the style's mean colour, 1",
+        "the default views; held-out ones all round, within 6 degrees of the horizon.",
+        "Closure 0 is the smoke tinted with the style's mean colour, 1",
         "the style pasted through its mask (`benchmarks/measures.py`): mean over the views, in",
         "brackets the worst view; ± is the standard deviation of a single paste, its noise.",
         "Outliers: share of pixels in colours that the style does not have; mean (worst view).",

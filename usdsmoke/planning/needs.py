@@ -281,7 +281,8 @@ def _omitted_views(config: Config, volumes: Volumes, cameras: Sequence[str]) -> 
     if not takes_effect(config, volumes):
         return omitted
     if not config.views.camera:
-        return [*omitted, without_camera(config, cameras)]
+        is_thin = all(frame.size.is_thin for volume in volumes for frame in volume.frames)
+        return [*omitted, without_camera(config, cameras, is_thin)]
     for volume in volumes:
         omitted += invisible_parts(config, volume)
     return omitted

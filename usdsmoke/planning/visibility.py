@@ -125,20 +125,24 @@ def rounding(density: FieldSource, grid: GridHeader) -> float:
     return float(np.spacing(np.abs(points[0]).max()) / edges.min())
 
 
-def without_camera(config: Config, cameras: Sequence[str]) -> Omission:
+def without_camera(config: Config, cameras: Sequence[str], is_thin: bool) -> Omission:
     """The views of a camera, where none is set; unusual if the stage has one.
 
     Args:
         cameras: prim paths of the stage's.
+        is_thin: all smoke is one voxel thick, and seen from one side whatever the views are.
     """
-    if not cameras or config.views.azimuth is not None:
+    views = config.views
+    is_chosen = views.azimuth is not None or views.elevation is not None
+    is_chosen = is_chosen or views.centre_azimuth != 0 or views.centre_elevation != 0
+    if not cameras or is_thin or is_chosen:
         reason = "views.camera is not set; views are around the up axis"
         return Omission("the shot's camera", reason, expected=True)
-    others = f" (or another of {len(cameras)})" if len(cameras) > 1 else ""
+    one = cameras[0] if len(cameras) == 1 else f"PATH (the stage has {len(cameras)} cameras)"
     return Omission(
         "views of a camera",
-        f"--camera {cameras[0]}{others} gives clearer marks in its picture. They smear from other "
-        "sides, and only what it sees is stylized",
+        f"--camera {one} gives clearer marks in its picture, which smear from other sides, and "
+        "stylizes only what it sees",
     )
 
 

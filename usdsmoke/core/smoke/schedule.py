@@ -86,7 +86,8 @@ def view_ranges(views: ViewsConfig) -> tuple[float, float]:
     """Half the ranges of azimuth and elevation, degrees: all round, or around the shot's camera.
 
     Colours that are painted from one side only are streaks from all others. Views from above and
-    below keep smoke from being painted in level slices, which look like strokes from all round.
+    below keep most smoke from being painted in level slices, which look like strokes from all
+    round; steeper ones blur more marks than they mend.
     """
     azimuth, elevation = AROUND_CAMERA if views.camera else ALL_ROUND
     return (
