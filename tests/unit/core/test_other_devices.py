@@ -107,7 +107,7 @@ def test_enlarged_pictures_end_where_the_processor_does(
         colour=CONFIG.colour.replace(iterations=(8, 8)),
         # `losses.nearest` acts on learned layers alone
         features=CONFIG.features.replace(layers=("oriented1", "learned2")),
-        views=CONFIG.views.replace(image_size=40),
+        views=CONFIG.views.replace(image_size=40, elevation=40.0),
     )
     frames = [frame_of(puff(40, 1), 1.0)]
 

@@ -183,6 +183,7 @@ def test_smoke_that_is_moved_far_hardly_folds(
             "optimize.steps": ["shape"],
             "views.image_size": 64,
             "views.pool": 4,
+            "views.elevation": 40.0,
             "shape.iterations": [40],
             "shape.reach": far,
             "shape.learning_rate": 0.7 * far,

@@ -76,7 +76,8 @@ def test_smoke_of_a_faint_gamma_goes_through_both_steps_like_the_paper_s(gamma, 
     def run(value: float) -> StylizedFrame:
         optics = {"gamma": value, "gamma_shape": value}
         rates = {"shape": {"learning_rate": 0.06}, "colour": {"learning_rate": 0.05}}
-        return run_core([FRAME], quick_config(optics=optics, **rates))[0]
+        config = quick_config(optics=optics, **rates).with_values({"views.elevation": 40.0})
+        return run_core([FRAME], config)[0]
 
     limit, found = run(1e-6), run(gamma)
     assert found.report.shape.loss == pytest.approx(limit.report.shape.loss, rel=loss)
