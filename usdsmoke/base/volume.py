@@ -181,7 +181,7 @@ class StageSource:
     missing: tuple[str, ...] = ()  # requested timeCodes that are left out, a sentence each
     # Layers, prims and offsets that composition drops; a sentence each without a full stop.
     dropped: tuple[str, ...] = ()
-    cameras: tuple[str, ...] = ()  # prim paths, used or not
+    cameras: tuple[str, ...] = ()  # prim paths; empty if every Volume has one of its own
     lights: tuple[str, ...] = ()  # prim paths, used or not
     # Lights that would light smoke and cannot be used: why, by path.
     unused_lights: Mapping[str, str] = field(default_factory=dict)

@@ -135,6 +135,12 @@ def _controls(volumes: Volumes) -> list[FrameControls]:
     return [frame.source.controls for frame in _frames(volumes)]
 
 
+def _is_thin(frames: Iterable[FramePlan]) -> bool:
+    """Whether there is smoke, and all of it is one voxel thick."""
+    filled = [frame for frame in frames if not frame.is_empty]
+    return bool(filled) and all(frame.size.is_thin for frame in filled)
+
+
 def _time_codes(frames: Iterable[FramePlan]) -> str:
     return name_time_codes(frame.source.time_code for frame in frames)
 
@@ -156,9 +162,7 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
             needed.append("the motion of the smoke, estimated from neighbours (stage.motion)")
         layers = f" ({', '.join(config.features.layers)})" if config.features.layers else ""
         needed.append(f"features of the {config.features.network} network{layers}")
-        filled = [frame for frame in frames if not frame.is_empty]
-        is_thin = bool(filled) and all(frame.size.is_thin for frame in filled)
-        n_views = pool_size(config.views, is_thin)
+        n_views = pool_size(config.views, _is_thin(frames))
         count = count_text(min(config.views.count, n_views), "view")
         needed.append(f"{count} per iteration, drawn from {n_views}")
         if config.views.camera:
@@ -281,7 +285,7 @@ def _omitted_views(config: Config, volumes: Volumes, cameras: Sequence[str]) -> 
     if not takes_effect(config, volumes):
         return omitted
     if not config.views.camera:
-        is_thin = all(frame.size.is_thin for volume in volumes for frame in volume.frames)
+        is_thin = _is_thin([frame for volume in volumes for frame in volume.frames])
         return [*omitted, without_camera(config, cameras, is_thin)]
     for volume in volumes:
         omitted += invisible_parts(config, volume)

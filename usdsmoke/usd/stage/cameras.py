@@ -65,7 +65,9 @@ def read_camera(stage: Usd.Stage, prim_path: str, time_code: float) -> CameraSou
 def seen_through(
     stage: Usd.Stage, source: StageSource, prim_paths: str | Sequence[str]
 ) -> StageSource:
-    """The same Volumes, with a camera at every selected timeCode, and the stage's cameras.
+    """The same Volumes, with a camera at every selected timeCode.
+
+    Where a Volume has none, the stage's cameras are listed, so that the plan can name them.
 
     Args:
         prim_paths: of a prim of type Camera, for all Volumes or one for each; "" is none.
@@ -85,7 +87,8 @@ def seen_through(
             replace(frame, camera=cameras.get((path, frame.time_code))) for frame in volume.frames
         )
         volumes.append(replace(volume, frames=frames))
-    return replace(source, volumes=tuple(volumes), cameras=tuple(list_cameras(stage)))
+    listed = () if all(prim_paths) else tuple(list_cameras(stage))  # a walk over all prims
+    return replace(source, volumes=tuple(volumes), cameras=listed)
 
 
 def _find_camera(stage: Usd.Stage, path: str) -> UsdGeom.Camera:
