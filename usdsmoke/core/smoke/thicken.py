@@ -3,15 +3,18 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.core.smoke.tasks import run_tasks
 from usdsmoke.core.smoke.voxels import occupied
 
 _WIDEST = 1e8  # times the density that the search begins at, and its inverse
-_NEAR = 1e-5  # of the thickness: the knee is found
+_STEP = 1.25  # times that density, and its inverse: the first bracket
 _TRIALS = 40  # at most; it takes about eight
+_CHUNK = 2**16  # values that a thread computes at once, in its cache
 
 
 @dataclass(frozen=True)
@@ -32,9 +35,17 @@ class Thickening:
             floor: what a simulation leaves everywhere; densities down to it stay as they are, and
                 of others what lies above it is thickened.
         """
-        above = np.maximum(density.astype(np.float64) - floor, 0.0)  # 32 bits do not hold ratios
-        found = floor + np.log1p(above / self.knee) * (self.times * self.knee)
-        return np.where(above > 0, found, density).astype(density.dtype)
+        flat = density.reshape(-1)
+        found = np.empty_like(flat)
+
+        def thicken(part: slice) -> None:
+            above = np.maximum(flat[part].astype(np.float64) - floor, 0.0)  # 32 bits hold no ratios
+            more = floor + np.log1p(above / self.knee) * (self.times * self.knee)
+            found[part] = np.where(above > 0, more, flat[part])
+
+        n = len(flat)
+        run_tasks([partial(thicken, slice(k, k + _CHUNK)) for k in range(0, n, _CHUNK)])
+        return found.reshape(density.shape)
 
     def of_frame(self, frame: VolumeFrame) -> VolumeFrame:
         """The frame with all of its density thickened."""
@@ -50,17 +61,22 @@ class Thickening:
 
 
 def find_thickening(
-    times: float, density: float, thickness: Callable[[Thickening], float], wanted: float
+    times: float,
+    near: float,
+    thickness: Callable[[Thickening], float],
+    wanted: float,
+    precision: float = 1e-4,
 ) -> Thickening | None:
     """The curve that keeps the thickness of thick smoke; None without smoke.
 
     Args:
         times: of the thinnest smoke, above 1.
-        density: a usual one, where the search begins.
+        near: a density that the knee is near, where the search begins.
         thickness: that thick smoke has behind a curve; it grows with the knee.
         wanted: that it should have, in the same unit.
+        precision: up to which it has that, relative.
     """
-    if density <= 0 or wanted <= 0:
+    if near <= 0 or wanted <= 0:
         return None
 
     def excess(log_knee: float) -> float:
@@ -68,15 +84,18 @@ def find_thickening(
 
     # bracket: from no smoke at all to ``times`` as much; then the secant rule of Illinois, which
     # halves the value of an end that stays
-    low, high = (math.log(density * factor) for factor in (1e-3, 1.0))
+    step = math.log(_STEP)
+    low, high = math.log(near) - step, math.log(near) + step
     below, above = excess(low), excess(high)
-    while below > 0 and low > math.log(density / _WIDEST):
+    while below > 0 and low > math.log(near / _WIDEST):
+        step *= 2
         high, above = low, below
-        low -= math.log(100.0)
+        low -= step
         below = excess(low)
-    while above < 0 and high < math.log(density * _WIDEST):
+    while above < 0 and high < math.log(near * _WIDEST):
+        step *= 2
         low, below = high, above
-        high += math.log(100.0)
+        high += step
         above = excess(high)
     middle = high
     for _ in range(_TRIALS):
@@ -84,7 +103,7 @@ def find_thickening(
             break
         middle = high - above * (high - low) / (above - below)
         found = excess(middle)
-        if abs(found) < _NEAR:
+        if abs(found) < precision:
             break
         if found * above < 0:
             low, below = high, above

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from usdsmoke.core.smoke.levels import bounded, ranked
 from usdsmoke.core.smoke.thicken import Thickening, find_thickening
 from usdsmoke.core.smoke.voxels import Voxels
 from usdsmoke.core.views.cameras import View
-from usdsmoke.core.views.footprint import splat
+from usdsmoke.core.views.footprint import ColumnSums
 
 DENSE_COLUMNS = 0.95  # rank of the columns that are dense
 FRINGE = 1e-3  # of those: columns below are not counted as smoke
@@ -24,6 +24,10 @@ THIN = 25.0  # percentile of the columns that are thin
 THIN_SHARE = 0.13
 MOST_TIMES = 10.0  # of smoke that is not asked to be thickened by more
 _HALVINGS = 4  # of the range of times: to a seventh
+_ROUGH = 1e-2  # of thick columns, while the times are looked for
+_PRECISE = 1e-4
+_USUAL = 0.03  # of the density of dense smoke: a usual knee
+_FALL = 1.7  # power of the times by which a knee usually falls
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,13 @@ class SeenSmoke:
         """Integrals of density where there is smoke, [P], density x stage unit."""
         if curve is None:
             return self._source[self._counts]
-        return splat(bounded(self.behind(curve)), self.view)[self._counts]
+        return self._sums(bounded(self.behind(curve)).density)[self._counts]
+
+    def hidden_mass(self, curve: Thickening | None, thick: float) -> float:
+        """The share of the mass in columns ``MUCH`` times as thick; 0 where those are few."""
+        columns = self._sums(self.behind(curve).density)
+        dense = columns[columns > MUCH * thick]
+        return float(dense.sum() / columns.sum()) if len(dense) >= _SEVERAL else 0.0
 
     @property
     def n_columns(self) -> int:
@@ -58,7 +68,11 @@ class SeenSmoke:
 
     @cached_property
     def _source(self) -> np.ndarray:
-        return splat(bounded(self.smoke), self.view)
+        return self._sums(bounded(self.smoke).density)
+
+    @cached_property
+    def _sums(self) -> ColumnSums:
+        return ColumnSums(self.smoke, self.view)
 
     @cached_property
     def _counts(self) -> np.ndarray:
@@ -83,39 +97,63 @@ def find_curve(seen: Sequence[SeenSmoke], optics: OpticsConfig) -> Thickening | 
     An unset knee is the one with which thick columns keep what they have. Unset times are what
     gives the thin columns ``THIN_SHARE`` of that, between 1 and ``MOST_TIMES``.
     """
+    search = _Search(seen, optics)
     if optics.thicken is not None:
-        return _curve(seen, optics, optics.thicken) if optics.thicken > 1 else None
-    if _thin_share(seen, optics, None) >= THIN_SHARE:
+        return search.curve(optics.thicken) if optics.thicken > 1 else None
+    if search.thin_share(None) >= THIN_SHARE:
         return None
-    low, high, found = 0.0, math.log(MOST_TIMES), _curve(seen, optics, MOST_TIMES)
-    if _thin_share(seen, optics, found) < THIN_SHARE:
-        return found
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        curve = _curve(seen, optics, math.exp(middle))
-        if _thin_share(seen, optics, curve) < THIN_SHARE:
-            low = middle
-        else:
-            high, found = middle, curve
-    return found
+    low, high = 0.0, math.log(MOST_TIMES)
+    if search.thin_share(search.curve(MOST_TIMES, _ROUGH)) >= THIN_SHARE:
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            if search.thin_share(search.curve(math.exp(middle), _ROUGH)) < THIN_SHARE:
+                low = middle
+            else:
+                high = middle
+    return search.curve(math.exp(high))
 
 
-def _curve(seen: Sequence[SeenSmoke], optics: OpticsConfig, times: float) -> Thickening | None:
-    if optics.knee is not None:
-        return Thickening(times, optics.knee)
-    dense = [ranked(one.smoke.density, DENSE_COLUMNS) for one in seen]
+class _Search:
+    """Curves of some smoke; each is looked for near the one before."""
 
-    def thickness(curve: Thickening | None) -> float:
-        return column_percentile([one.columns(curve) for one in seen], seen, optics.percentile)
+    def __init__(self, seen: Sequence[SeenSmoke], optics: OpticsConfig) -> None:
+        self._seen, self._optics = seen, optics
+        self._last: Thickening | None = None
+        self._columns = lru_cache(maxsize=2)(self._columns_behind)
+        self._wanted = self._thick(None)
 
-    return find_thickening(times, weighted_median(dense, seen), thickness, thickness(None))
+    def curve(self, times: float, precision: float = _PRECISE) -> Thickening | None:
+        """The curve with so many times; None without smoke.
 
+        Args:
+            precision: up to which thick columns keep what they have, relative.
+        """
+        if self._optics.knee is not None:
+            return Thickening(times, self._optics.knee)
+        near = self._near(times)
+        self._last = find_thickening(times, near, self._thick, self._wanted, precision)
+        return self._last
 
-def _thin_share(seen: Sequence[SeenSmoke], optics: OpticsConfig, curve: Thickening | None) -> float:
-    """What the thin columns have of what the thick ones have; 1 without smoke."""
-    columns = [one.columns(curve) for one in seen]
-    thin, thick = (column_percentile(columns, seen, rank) for rank in (THIN, optics.percentile))
-    return thin / thick if thick > 0 else 1.0
+    def thin_share(self, curve: Thickening | None) -> float:
+        """What the thin columns have of what the thick ones have; 1 without smoke."""
+        thick = self._thick(curve)
+        return self._percentile(curve, THIN) / thick if thick > 0 else 1.0
+
+    def _near(self, times: float) -> float:
+        """A density that the knee is near."""
+        if self._last is not None:
+            return self._last.knee * (self._last.times / times) ** _FALL
+        dense = [ranked(one.smoke.density, DENSE_COLUMNS) for one in self._seen]
+        return _USUAL * weighted_median(dense, self._seen)
+
+    def _thick(self, curve: Thickening | None) -> float:
+        return self._percentile(curve, self._optics.percentile)
+
+    def _percentile(self, curve: Thickening | None, percentile: float) -> float:
+        return column_percentile(self._columns(curve), self._seen, percentile)
+
+    def _columns_behind(self, curve: Thickening | None) -> list[np.ndarray]:
+        return [one.columns(curve) for one in self._seen]
 
 
 def weighted_median(values: Sequence[float], seen: Sequence[SeenSmoke]) -> float:
@@ -124,10 +162,3 @@ def weighted_median(values: Sequence[float], seen: Sequence[SeenSmoke]) -> float
     weight = np.array([len(one.smoke.ijk) for one in seen], float)[order]
     middles = weight.cumsum() - weight / 2
     return float(np.interp(weight.sum() / 2, middles, np.asarray(values)[order]))
-
-
-def hidden_mass(seen: SeenSmoke, curve: Thickening | None, thick: float) -> float:
-    """The share of the mass in columns ``MUCH`` times as thick; 0 where those are few."""
-    columns = splat(seen.behind(curve), seen.view)
-    dense = columns[columns > MUCH * thick]
-    return float(dense.sum() / columns.sum()) if len(dense) >= _SEVERAL else 0.0

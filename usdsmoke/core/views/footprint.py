@@ -80,44 +80,63 @@ def _fewest_parts(
     return min(found, key=lambda parts: found[parts])
 
 
-def splat(smoke: Voxels, view: View) -> np.ndarray:
-    """``project.column_map`` of smoke that lies inside an orthographic view, [P] float64."""
-    to_pixels = np.stack([view.right, -view.up], axis=1) / view.pixel_size
-    middle = np.array([(view.width - 1) / 2 + view.shift[0], (view.height - 1) / 2 + view.shift[1]])
-    start = (smoke.index_to_stage[3, :3] - view.centre) @ to_pixels + middle
-    ijk, mass = _without_depth(smoke, smoke.edges @ to_pixels)
-    places = ijk @ (smoke.edges @ to_pixels)
-    offsets = voxel_points(smoke.edges, view, view.pixel_size) @ to_pixels
-    mass *= smoke.voxel_volume / len(offsets) / view.pixel_size**2
-    total = np.zeros(view.height * view.width)
-    for offset in offsets + start:
-        place = places + offset
-        first = np.floor(place)
-        (x, y), (column, row) = (place - first).T, first.astype(np.int64).T
-        pixel = row * view.width + column
-        for down, across in np.ndindex(2, 2):
-            weight = (x if across else 1 - x) * (y if down else 1 - y) * mass
-            total += np.bincount(pixel + (down * view.width + across), weight, len(total))
-    return total
+class ColumnSums:
+    """Integrals of density along the pixels of a view: ``project.column_map`` for NumPy.
+
+    Args:
+        smoke: lies inside the view. Its own density is not read.
+        view: orthographic.
+    """
+
+    def __init__(self, smoke: Voxels, view: View) -> None:
+        self._shape = view.height, view.width
+        to_pixels = np.stack([view.right, -view.up], axis=1) / view.pixel_size
+        middle = [(view.width - 1) / 2 + view.shift[0], (view.height - 1) / 2 + view.shift[1]]
+        start = (smoke.index_to_stage[3, :3] - view.centre) @ to_pixels + np.array(middle)
+        steps = smoke.edges @ to_pixels
+        ijk, self._column = _without_depth(smoke, steps)
+        self._places, self._n = ijk @ steps, len(ijk)
+        self._offsets = voxel_points(smoke.edges, view, view.pixel_size) @ to_pixels + start
+        self._scale = smoke.voxel_volume / len(self._offsets) / view.pixel_size**2
+
+    def __call__(self, density: np.ndarray) -> np.ndarray:
+        """The integrals [P] float64 of the voxels' density [N], density x stage unit."""
+        mass = density.astype(np.float64)
+        if self._column is not None:
+            mass = np.bincount(self._column, mass, self._n)
+        mass *= self._scale
+        height, width = self._shape
+        total = np.zeros(height * width)
+        for offset in self._offsets:
+            place = self._places + offset
+            first = np.floor(place)
+            (x, y), (column, row) = (place - first).T, first.astype(np.int64).T
+            pixel = row * width + column
+            for down, across in np.ndindex(2, 2):
+                weight = (x if across else 1 - x) * (y if down else 1 - y) * mass
+                total += np.bincount(pixel + (down * width + across), weight, len(total))
+        return total
 
 
-def _without_depth(smoke: Voxels, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Voxels [M 3] and their density; those behind one another are one where an axis is seen from
-    its end.
+def _without_depth(smoke: Voxels, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """The places [M 3] that voxels are counted at, and which of them each voxel has, [N].
+
+    Voxels behind one another have one place where an axis is seen from its end; else each has its
+    own, and the second is None.
 
     Args:
         steps: of a voxel along each axis, pixels, [3 2].
     """
-    density = smoke.density.astype(np.float64)
     lengths = np.abs(steps).sum(axis=1)
     axis, (low, high) = int(lengths.argmin()), smoke.box
     if lengths[axis] * (high - low)[axis] > _STILL:
-        return smoke.ijk, density
+        return smoke.ijk, None
     across = [n for n in range(3) if n != axis]
     shape = (high - low + 1)[across]
     i, j = (smoke.ijk[:, n] - low[n] for n in across)
-    total = np.bincount(i * shape[1] + j, density, int(np.prod(shape)))
-    filled = np.flatnonzero(total)
+    column, n_columns = i * shape[1] + j, int(np.prod(shape))
+    is_filled = np.bincount(column, minlength=n_columns) > 0
+    filled = np.flatnonzero(is_filled)
     ijk = np.tile(low, (len(filled), 1))
     ijk[:, across] += np.stack(np.divmod(filled, shape[1]), axis=1)
-    return ijk, total[filled]
+    return ijk, (np.cumsum(is_filled) - 1)[column]

@@ -22,7 +22,6 @@ from usdsmoke.core.views.column_depths import (
     SeenSmoke,
     column_percentile,
     find_curve,
-    hidden_mass,
     weighted_median,
 )
 from usdsmoke.core.views.frustum import nearest_footprint, visible_part
@@ -275,7 +274,7 @@ def measure_scene(
         gamma_w, gamma_w_shape, pixel_size, up_axis, voxel, math.ceil(longest / pixel_size - 1e-6),
         float(inside.mean()), float(inside.std()), exposure, exposure_shape,
         thick=thick, thick_share=share, widened=longest / near if fine < pixel_size else 1.0,
-        hidden=weighted_median([hidden_mass(one, curve, thick) for one in seen], seen),
+        hidden=weighted_median([one.hidden_mass(curve, thick) for one in seen], seen),
         stops=stops, thicken=curve.times if curve else 1.0, knee=curve.knee if curve else 0.0,
     )  # fmt: skip
 
