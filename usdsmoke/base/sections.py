@@ -266,7 +266,7 @@ class ShapeConfig(Section):
     mass_correction: bool = setting(True, "scale the moved density to the source's mass")
     learning_rate: float = setting(0.085, "Adam's step for the potential", gt=0)
     iterations: Iterations = setting(
-        [40, 20, 30], "iterations per octave, coarse to fine; 0 skips an octave",
+        [30, 15, 20], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="shapeIterations")
     warm_rate: float = setting(
         0.35, "share of the learning rate for a frame that starts from its neighbour's result "
@@ -287,7 +287,7 @@ class ColourConfig(Section):
         request="colourInit")
     learning_rate: float = setting(0.06, "Adam's step for display-encoded colour in [0, 1]", gt=0)
     iterations: Iterations = setting(
-        [50, 50, 65], "iterations per octave, coarse to fine; 0 skips an octave",
+        [40, 40, 40], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="colourIterations")
     warm_rate: float = setting(
         0.35, "share of the learning rate for a frame that starts from its neighbour's result or "
