@@ -32,7 +32,7 @@ def nearest_distances(
 
     Of many features every n-th is looked up, others in each of n draws that follow each other:
     neighbours see much the same of a picture. Every other one of the style's looks back, in turns;
-    of an odd number, the last never does.
+    of an odd number, the last always does.
 
     Args:
         values: of a picture.
@@ -66,7 +66,7 @@ def nearest_distances(
 def _every_other(style: Tensor, draw: int | Tensor) -> Tensor:
     """Half of a style's features [C S], as many in each draw."""
     n = style.shape[1]
-    return (torch.arange(max(n // 2, 1), device=style.device) * 2 + draw % 2).clamp_max(n - 1)
+    return (torch.arange((n + 1) // 2, device=style.device) * 2 + draw % 2).clamp_max(n - 1)
 
 
 def _choose(
