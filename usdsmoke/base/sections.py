@@ -308,7 +308,7 @@ class OptimizeConfig(Section):
         unit="iterations", request="iterations")
     start: str = setting(
         "", "network that frames without a neighbour start from: a file that 'usdsmoke train' "
-        "wrote, or network for one that the run trains first; they have a quarter of the finest "
+        "wrote, or network for one that the run trains first; they have two fifths of the finest "
         "octave's iterations, or all of them where other octaves have none; default: such frames "
         "start from noise")
     tolerance: float = setting(

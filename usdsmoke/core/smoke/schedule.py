@@ -8,7 +8,7 @@ from usdsmoke.base.sections import ViewsConfig
 ALL_ROUND = (180.0, 20.0)
 AROUND_CAMERA = (12.0, 6.0)
 MOST_ALIKE = 60_000  # voxels: frames with more are learned in fewer iterations
-BEHIND = 0.25  # of the finest octave's iterations: behind a network
+BEHIND = 0.4  # of the finest octave's iterations: behind a network
 COARSER = 0.75  # of the iterations behind a network: on larger voxels, if there are more
 OCTAVE_SCALE = 2  # of neighbouring octaves: whole blocks of voxels, so that mass is kept exactly
 
@@ -53,12 +53,12 @@ def warm_iterations(per_octave: Sequence[int], share: float) -> list[int]:
 def network_iterations(per_octave: Sequence[int], n_voxels: int) -> list[int]:
     """Iterations of a frame that starts from what a network paints, coarse to fine.
 
-    A quarter of the finest octave's, or all of them where no coarser octave has any. On a large
+    Two fifths of the finest octave's, or all of them where no coarser octave has any. On a large
     frame three of four of these are done on voxels of twice the size, where each takes a sixth of
     the time: its network had fewer iterations, and what it leaves is not in the finest detail
     alone.
 
-    >>> network_iterations([80, 80, 64], 10_000), network_iterations([80, 80, 64], 1_000_000)
+    >>> network_iterations([40, 40, 40], 10_000), network_iterations([40, 40, 40], 1_000_000)
     ([0, 0, 16], [0, 12, 4])
     >>> network_iterations([0, 0, 32], 10_000)
     [0, 0, 32]
