@@ -101,7 +101,7 @@ class ColumnSums:
 
     def __call__(self, density: np.ndarray) -> np.ndarray:
         """The integrals [P] float64 of the voxels' density [N], density x stage unit."""
-        mass = density.astype(np.float64)
+        mass: np.ndarray = density.astype(np.float64)
         if self._column is not None:
             mass = np.bincount(self._column, mass, self._n)
         mass *= self._scale
