@@ -10,6 +10,7 @@ from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.footprint import ColumnSums
 from usdsmoke.core.views.project import colour_map, column_map
 from usdsmoke.core.views.scene import fit_view, frame_views, measure_scene
 
@@ -87,6 +88,19 @@ def test_constant_smoke_has_no_holes_and_hardly_ripples(
     error = found[inside] / exact[inside] - 1
     assert np.sqrt((error**2).mean()) < 0.005
     assert np.abs(error).max() < 0.02
+
+
+@pytest.mark.parametrize("direction", [(0, 0), (90, 0), (30, 10), (45, 0)])
+def test_columns_are_those_of_the_optimiser(direction: tuple[float, float]) -> None:
+    """For any density, also where voxels behind one another are counted at once."""
+    smoke = box_of((10, 6, 8), (1.0, 2.0, 1.0))
+    view = view_of(smoke, *direction)
+    sums = ColumnSums(smoke.voxels, view)
+    image = column_map(smoke.positions, smoke.edges, view, torch.float64)
+    for seed in (0, 1):
+        density = np.random.default_rng(seed).uniform(0, 1, len(smoke.ijk))
+        wanted = image.apply(torch.as_tensor(density)[:, None])[..., 0].numpy()
+        np.testing.assert_allclose(sums(density).reshape(wanted.shape), wanted, atol=1e-12)
 
 
 def test_a_long_voxel_keeps_its_mass_and_its_colour() -> None:

@@ -266,7 +266,7 @@ class ShapeConfig(Section):
     mass_correction: bool = setting(True, "scale the moved density to the source's mass")
     learning_rate: float = setting(0.085, "Adam's step for the potential", gt=0)
     iterations: Iterations = setting(
-        [30, 15, 20], "iterations per octave, coarse to fine; 0 skips an octave",
+        [30, 15, 30], "iterations per octave, coarse to fine; 0 skips an octave",
         min_length=1, unit="iterations", request="shapeIterations")
     warm_rate: float = setting(
         0.35, "share of the learning rate for a frame that starts from its neighbour's result "

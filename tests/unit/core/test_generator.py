@@ -184,7 +184,7 @@ def test_a_network_paints_each_frame_by_itself(file_path: Path) -> None:
         assert np.array_equal(alone.emission.values, found.emission.values)
 
 
-def test_a_quarter_of_the_finest_octave_follows_a_network_and_half_a_neighbour(
+def test_two_fifths_of_the_finest_octave_follow_a_network_and_half_a_neighbour(
     file_path: Path,
 ) -> None:
     values = {
@@ -194,7 +194,7 @@ def test_a_quarter_of_the_finest_octave_follows_a_network_and_half_a_neighbour(
     alike = [replace(FRAMES[0], time_code=code) for code in (1.0, 2.0)]
     found = run_core(alike, CONFIG.with_values(values), SCENE, [STYLE])
     done = [one.report.colour.iterations for one in found if one.report.colour is not None]
-    assert done == [(2,), (4,)]
+    assert done == [(3,), (4,)]
 
 
 def test_behind_a_network_large_frames_are_refined_on_larger_voxels_first(

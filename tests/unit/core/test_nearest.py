@@ -40,6 +40,12 @@ def test_draws_that_follow_each_other_look_up_all_of_many_features():
     assert found[3] == found[0] != found[1]
 
 
+def test_each_feature_of_an_odd_number_looks_back():
+    style = torch.tensor([[0.0, 0.0, 9.0]])  # the last one is the only one that is far
+    ways = [nearest_distances(torch.zeros(1, 4), None, style, draw)[1].item() for draw in (0, 1)]
+    assert ways == pytest.approx([81 / 2, 81 / 2])
+
+
 def test_the_gradients_lead_to_the_nearest_features():
     style = torch.tensor([[0.0, 1.0, 0.3, 0.7]], dtype=torch.float64)
     values = torch.tensor([[0.25, 0.9, 0.4]], dtype=torch.float64, requires_grad=True)

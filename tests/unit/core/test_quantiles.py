@@ -9,7 +9,12 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
+from usdsmoke.core.style.quantiles import (
+    STEPS,
+    quantile_distance,
+    quantile_table,
+    random_directions,
+)
 
 DOUBLE = torch.float64
 
@@ -62,6 +67,24 @@ def test_table_is_numpys_quantiles_of_mid_point_positions(n_samples, n):
     shares = (np.arange(n) + 0.5) / n
     wanted = np.quantile(values.numpy(), shares, axis=1, method="hazen").T
     assert np.allclose(quantile_table(values, n).numpy(), wanted, atol=1e-13)
+
+
+def test_a_table_of_many_samples_is_off_by_no_more_than_half_a_step():
+    values = normal(3, 5000, dtype=torch.float32) * torch.tensor([[1e-3], [1.0], [1e6]])
+    values[2] = 7.0  # of one value
+    found, wanted = quantile_table(values, 5000), values.sort(dim=1).values
+    off, reach = (found - wanted).abs().amax(1), wanted[:, -1] - wanted[:, 0]
+    assert (off <= 0.51 * reach / STEPS + 1e-6 * wanted.abs().amax(1)).all()
+    assert off[:2].min() > 0  # they are rounded
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_sample_that_is_not_finite_leaves_the_others_where_they_are(bad):
+    values = normal(2, 5000, dtype=torch.float32)
+    values[1, 7] = bad
+    found = quantile_table(values, 5000)
+    assert torch.equal(found[1, :-2], values[1].sort().values[:-2])
+    assert not found[1, -1].isfinite()
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32])

@@ -13,7 +13,7 @@ from usdsmoke.core.smoke.voxels import occupied
 
 _WIDEST = 1e8  # times the density that the search begins at, and its inverse
 _STEP = 1.25  # times that density, and its inverse: the first bracket
-_TRIALS = 40  # at most; it takes about eight
+_TRIALS = 40  # at most; it takes one to five
 _CHUNK = 2**16  # values that a thread computes at once, in its cache
 
 
@@ -97,7 +97,7 @@ def find_thickening(
         low, below = high, above
         high += step
         above = excess(high)
-    middle = high
+    middle = low if below == 0 else high
     for _ in range(_TRIALS):
         if below * above >= 0:
             break

@@ -44,7 +44,7 @@ FAINT = 2e-4  # share of a pixel's opacity up to which it leaves voxels out: 0.5
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
 JUDGING = 3  # iterations whose pictures tell how much detail to add
-HELD_EVERY = 6  # iterations; each look-up takes about as long as one
+HELD_EVERY = 6  # iterations; on a million voxels, holding colours takes about as long as one
 
 Look = Callable[[Sequence[ColourView], Tensor], None]
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
@@ -119,7 +119,7 @@ class _Search:
     def __init__(self, seen: Sequence[SeenSmoke], optics: OpticsConfig) -> None:
         self._seen, self._optics = seen, optics
         self._last: Thickening | None = None
-        self._columns = lru_cache(maxsize=2)(self._columns_behind)
+        self._behind: tuple[Thickening | None, list[np.ndarray]] | None = None  # the last one asked
         self._wanted = self._thick(None)
 
     def curve(self, times: float, precision: float = _PRECISE) -> Thickening | None:
@@ -150,10 +150,9 @@ class _Search:
         return self._percentile(curve, self._optics.percentile)
 
     def _percentile(self, curve: Thickening | None, percentile: float) -> float:
-        return column_percentile(self._columns(curve), self._seen, percentile)
-
-    def _columns_behind(self, curve: Thickening | None) -> list[np.ndarray]:
-        return [one.columns(curve) for one in self._seen]
+        if self._behind is None or self._behind[0] != curve:
+            self._behind = curve, [one.columns(curve) for one in self._seen]
+        return column_percentile(self._behind[1], self._seen, percentile)
 
 
 def weighted_median(values: Sequence[float], seen: Sequence[SeenSmoke]) -> float:
