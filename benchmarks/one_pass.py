@@ -56,8 +56,8 @@ __all__ = ["Row", "Ways", "main", "measure_frame"]
 N_FRAMES = 9  # of the plume; the last one is never trained on
 HELD_OUT = 4  # number of the frame that training is judged by
 N_VIEWS, SEED = 8, 0x0A11  # unseen ones
-DEFAULT = (50, 50, 65)  # iterations of a full run: the defaults before decision 071
-COLD = ((15, 15, 15), (30, 30, 30), DEFAULT, (150, 150, 160))  # the last: of the preset final
+FULL = (50, 50, 65)  # iterations of a full run: the defaults before decision 071
+COLD = ((15, 15, 15), (30, 30, 30), FULL, (150, 150, 160))  # the last: of the preset final
 AFTER = (8, 16, 32)
 WARM = 64  # iterations behind the neighbour's colours, as before decision 071
 ALIKE = {"seed": 11, "source_radius": 0.24, "buoyancy": 7.0, "gusts": 2.2}  # another plume
@@ -273,7 +273,7 @@ def _rows(
         return tuple(closures[name] for name in MEASURES if name in closures)  # small ones: none
 
     rows = measure_frame(problem, generator, range(given.seeds), ways, score)
-    full = [row.cpu_s for row in rows if row.way == f"cold, {sum(DEFAULT)} iterations"]
+    full = [row.cpu_s for row in rows if row.way == f"cold, {sum(FULL)} iterations"]
     where = f"{where}, {len(smoke.ijk):,} voxels"
     for row in rows:
         yield _line(where, row.way, row, f"{row.cpu_s / full[0]:.3f}" if full else "")
@@ -290,7 +290,7 @@ def _carried(
 ) -> torch.Tensor | None:
     """The colours of a frame after a full cold start, carried to the next one."""
     earlier = _problem(pair[0], style, problem.scene, problem.config)
-    colours, _ = run_colour_step(earlier, DEFAULT)
+    colours, _ = run_colour_step(earlier, FULL)
     way = Transit(pair[0], (pair[1].time_code - pair[0].time_code) / FRAMES_PER_SECOND)
     return start_colours((earlier.smoke, colours), None, way, problem.smoke, 0)
 
@@ -389,7 +389,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             lines.append(line)
         if gallery is not None and gallery.rows:
             gallery.save(given.picture)
-    columns = ["style, smoke", "start", "loss", "CPU s", f"of cold, {sum(DEFAULT)}", *MEASURES]
+    columns = ["style, smoke", "start", "loss", "CPU s", f"of cold, {sum(FULL)}", *MEASURES]
     own = sys.argv[1:] if arguments is None else arguments
     command = ["python", "-m", "benchmarks.one_pass", *own]
     publish(table_page(_INTRO, columns, lines, command), given.report)

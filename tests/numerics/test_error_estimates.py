@@ -15,6 +15,7 @@ from torch import Tensor
 
 from benchmarks.raymarch import march_rays
 from tests.fixtures.smoke_fixtures import gaussian_column, gaussian_smoke, smoke_of
+from usdsmoke.base.settings import Config
 from usdsmoke.core.fields.richardson import step_error
 from usdsmoke.core.fields.transport import Scheme, warp
 from usdsmoke.core.fields.warp_error import warp_error
@@ -29,7 +30,7 @@ from usdsmoke.core.sequence.picture_errors import (
 )
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.steps.loss_tail import likely_difference, remaining_decrease, spread_of_mean
-from usdsmoke.core.steps.optimize import Descent, minimize
+from usdsmoke.core.steps.optimize import MENDING, Descent, minimize
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.scene import fit_view
 
@@ -269,6 +270,15 @@ def test_few_losses_or_some_that_are_not_finite_tell_nothing() -> None:
     assert math.isnan(remaining_decrease([1.0] * 29, [1.0] * 29, USUAL))
     assert math.isnan(remaining_decrease([1.0] * 29 + [math.inf], [1.0] * 30, USUAL))
     assert remaining_decrease([1.0] * 30, [1.0] * 30, USUAL) < 1e-9
+
+
+def test_the_defaults_have_enough_iterations_for_it() -> None:
+    """``daily`` tells what is left of both steps; iterations after a change are not counted."""
+    config = Config()
+    n_shape, n_colour = config.shape.iterations[-1], config.colour.iterations[-1]
+    for n in (n_shape, n_colour - int(MENDING * n_colour)):
+        left = remaining_decrease((1.0 + 1.0 / np.arange(1, n + 1)).tolist(), [1.0] * n, USUAL)
+        assert left > 0
 
 
 @pytest.mark.parametrize(("pool", "count"), [(16, 1), (12, 1), (16, 4)])

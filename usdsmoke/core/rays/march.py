@@ -14,7 +14,6 @@ linear map with a cheap gradient, but needs pixels as large as voxels and smoke 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 
 import numpy as np
@@ -22,7 +21,7 @@ import numpy as np
 from usdsmoke.core.rays.cells import Cells
 from usdsmoke.core.rays.columns import Columns, follows_axis
 from usdsmoke.core.rays.media import Medium
-from usdsmoke.core.smoke.tasks import run_tasks
+from usdsmoke.core.smoke.tasks import run_slices
 from usdsmoke.core.views.cameras import View, view_rays
 
 _CHUNK = 1 << 18  # numbers of each kind in memory at once, over all rays of a chunk
@@ -81,7 +80,7 @@ def march(
             total[pixels] += np.column_stack([depth, light, alpha])
 
     size = max(1, _CHUNK // tracer.numbers_per_ray)
-    run_tasks([partial(draw, slice(n, min(n + size, count))) for n in range(0, count, size)])
+    run_slices(draw, count, size)
     return _picture(total / rays**2, view)
 
 

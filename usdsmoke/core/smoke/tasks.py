@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from typing import Any, TypeVar
 
 Result = TypeVar("Result")
@@ -97,6 +98,11 @@ def run_tasks(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
         if error is not None:
             raise error
     return [results[number] for number in range(len(tasks))]
+
+
+def run_slices(work: Callable[[slice], None], n: int, size: int) -> None:
+    """``work(part)`` for the slices that make up 0 to n - 1, ``size`` each, see ``run_tasks``."""
+    run_tasks([partial(work, slice(k, min(k + size, n))) for k in range(0, n, size)])
 
 
 def made_ahead(items: Iterator[Result]) -> Iterator[Result]:

@@ -3,12 +3,11 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from usdsmoke.base.volume import DenseField, VolumeFrame
-from usdsmoke.core.smoke.tasks import run_tasks
+from usdsmoke.core.smoke.tasks import run_slices
 from usdsmoke.core.smoke.voxels import occupied
 
 _WIDEST = 1e8  # times the density that the search begins at, and its inverse
@@ -43,8 +42,7 @@ class Thickening:
             more = floor + np.log1p(above / self.knee) * (self.times * self.knee)
             found[part] = np.where(above > 0, more, flat[part])
 
-        n = len(flat)
-        run_tasks([partial(thicken, slice(k, k + _CHUNK)) for k in range(0, n, _CHUNK)])
+        run_slices(thicken, len(flat), _CHUNK)
         return found.reshape(density.shape)
 
     def of_frame(self, frame: VolumeFrame) -> VolumeFrame:
