@@ -28,11 +28,11 @@ from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError, ShapeError
 from usdsmoke.core.fields.gather import gather_sum, planar
-from usdsmoke.core.smoke.memory import chunks
+from usdsmoke.core.smoke.memory import share_rows
 
 Boundary = Literal["zero", "nearest"]
 BOUNDARIES: tuple[Boundary, ...] = ("zero", "nearest")
-CUBIC_CHUNK = 2**16  # positions that are sampled at once
+CUBIC_CHUNK = 2**16  # positions that a thread samples at once
 SPLINE_SUPPORT = 12  # voxels; |z|^12 is 1.4e-7, the round-off of float32
 _POLE = math.sqrt(3.0) - 2.0  # z
 _RESPONSE = 30  # voxels; |z|^30 is 7e-18, below the round-off of float64
@@ -108,10 +108,14 @@ def sample_cubic(values: Tensor, positions_ijk: Tensor) -> Tensor:
 
     if torch.is_grad_enabled() and (coefficients.requires_grad or positions_ijk.requires_grad):
         return sampled(positions_ijk)
-    coefficients = coefficients if values.ndim == 3 else planar(coefficients)
-    parts = chunks(len(positions_ijk), CUBIC_CHUNK, positions_ijk.device)
-    nothing = values.new_empty((0, *values.shape[3:]))
-    return torch.cat([nothing, *(sampled(positions_ijk[part]) for part in parts)])
+    coefficients = coefficients.contiguous() if values.ndim == 3 else planar(coefficients)
+    found = values.new_empty((len(positions_ijk), *values.shape[3:]))
+
+    def sample(part: slice) -> None:
+        found[part] = sampled(positions_ijk[part])
+
+    share_rows(sample, len(positions_ijk), CUBIC_CHUNK, positions_ijk.device)
+    return found
 
 
 def spline_coefficients(values: Tensor, margin: int = SPLINE_SUPPORT) -> Tensor:

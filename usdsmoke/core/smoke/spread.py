@@ -115,13 +115,14 @@ class Surroundings:
             rows: of those that are asked for, [M].
         """
         found = torch.empty_like(values[: len(rows)])
+        beside_all = list(itertools.chain.from_iterable(self._beside))  # here: threads share it
 
         def look(part: slice) -> None:
             here = rows[part]
             own = values[here]
             least, most = torch.full_like(own, math.inf), torch.full_like(own, -math.inf)
             low, high = least, most  # the second ones
-            for beside in itertools.chain.from_iterable(self._beside):
+            for beside in beside_all:
                 at = beside[here]
                 value = torch.where(at < len(values), values[at.clamp_max(len(values) - 1)], own)
                 low, high = low.minimum(least.maximum(value)), high.maximum(most.minimum(value))

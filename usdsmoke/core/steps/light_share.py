@@ -128,6 +128,7 @@ def _views(
     pool, seed = config.views.replace(pool=_N_VIEWS), config.optimize.seed
     directions = frame_views(octave, pool, scene, seed, _FACTOR)
     made = prepare_views(octave, directions, scene.gamma_w, scene.exposure, share, lighting)
+    made.prepare(range(len(made)))
     return list(made)
 
 
