@@ -115,11 +115,17 @@ class LearnedFeatures:
 
 def _patches(maps: Tensor, size: int, n_patches: int, generator: torch.Generator) -> Tensor:
     """Up to ``n_patches`` random patches [N C*size*size] of feature maps [1 C H W]."""
-    columns = F.unfold(padded(maps, size // 2), size)[0].T
-    if len(columns) > n_patches:
-        chosen = torch.randperm(len(columns), generator=generator)[:n_patches]
-        columns = columns[chosen.to(columns.device)]
-    return columns
+    n_channels, height, width = maps.shape[1:]
+    around = padded(maps, size // 2)[0]
+    if height * width <= n_patches:
+        return F.unfold(around[None], size)[0].T
+    chosen = torch.randperm(height * width, generator=generator)[:n_patches].to(maps.device)
+    row, column = chosen // width, chosen % width
+    patches = maps.new_empty(n_patches, n_channels, size, size)
+    for down in range(size):
+        for right in range(size):
+            patches[:, :, down, right] = around[:, row + down, column + right].T
+    return patches.flatten(1)
 
 
 def _cluster_directions(

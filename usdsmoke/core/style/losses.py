@@ -40,6 +40,7 @@ N_DIRECTIONS = 32  # of sliced Wasserstein, for each layer of a picture
 MOST_PER_CHANNEL = 4  # directions: colours alone have three channels
 N_DRAWS = 16  # sets of directions, taken in turn
 MOST_SAMPLES = 2**12  # of a style's features, drawn anew for each set, whose quantiles are taken
+MANY_TIMES = 16  # as many features as are drawn, of which hardly any is drawn twice
 BACK = 2.0  # weight of the ways from the style's features to the nearest of a picture's
 LEAST_SPREAD = 0.01  # of a channel's rms, from which on a style's features differ
 LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more
@@ -356,11 +357,15 @@ def total_variation(picture: Tensor) -> Tensor:
 def _some(features: Tensor, most: int, seed: int) -> Tensor:
     """At most so many of features [C P], drawn at random: even steps would meet the same columns of
     an image again and again."""
-    n = features.shape[1]
+    n, generator = features.shape[1], torch.Generator().manual_seed(seed)
     if n <= most:
         return features
-    chosen = torch.randperm(n, generator=torch.Generator().manual_seed(seed))[:most]
-    return features.index_select(1, chosen.to(features.device))
+    if n > MANY_TIMES * most:  # a shuffle would take longer than all that it is for
+        chosen = torch.randint(n, (most,), generator=generator)
+    else:
+        chosen = torch.randperm(n, generator=generator)[:most]
+    # maps have channels last; by columns all of them would be copied
+    return features.T.index_select(0, chosen.to(features.device)).T.contiguous()
 
 
 def _flat(maps: Tensor) -> Tensor:
