@@ -186,7 +186,7 @@ class StyleConfig(Section):
     tiling: int = setting(
         1, "repetitions of the style image along each side", ge=1, le=16, request="styleTiling")
     size: float | None = setting(
-        None, "size of the style relative to the rendered image; unset: 1, or up to 2.8 if marks "
+        None, "size of the style relative to the rendered image; unset: 1, or up to 4 if marks "
         "of the style are finer than voxels can hold", gt=0, le=8, request="styleSize")
     colour: float = setting(
         1.0, "amount of the style's colour; 0: grey, above 1: more than the style has", ge=0, le=2)

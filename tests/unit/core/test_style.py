@@ -1,5 +1,7 @@
 """Colour spaces, and style images at the scale of the picture."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -11,11 +13,14 @@ from usdsmoke.base.sections import StyleConfig
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luma
 from usdsmoke.core.steps.targets import find_style_size
 from usdsmoke.core.style.style_image import (
+    FINE,
     LEAST_WAVELENGTH,
+    MOST_FINE,
     SIZES,
     SMALLEST,
     adjust_tones,
     find_size,
+    fine_share,
     match_grey,
     mean_wavelength,
     scale_style,
@@ -123,8 +128,9 @@ def test_the_mean_wavelength_of_noise_and_of_one_colour():
 def test_marks_are_enlarged_to_what_voxels_hold_and_not_further(wavelength, pixels):
     style = stripes(wavelength)
     size = find_size(style, pixels)
-    wanted = next(size for size in SIZES if wavelength * pixels / 96 * size >= LEAST_WAVELENGTH)
-    assert size == wanted
+    here = wavelength * pixels / 96
+    enlarged = next(size for size in SIZES if here * size > FINE)
+    assert size == (1 if here >= LEAST_WAVELENGTH else enlarged)
 
 
 def test_more_voxels_need_smaller_sizes_step_by_step():
@@ -138,6 +144,23 @@ def test_a_style_as_fine_at_every_size_keeps_its_size():
     pixels = np.random.default_rng(0).random((1024, 1024, 1), dtype=np.float32)
     noise = np.broadcast_to(pixels, (1024, 1024, 3))
     assert {find_size(noise, side) for side in (60, 100, 200)} == {1.0}
+
+
+@pytest.mark.parametrize("amplitude", [0.1, 0.5, 0.9])
+def test_the_fine_share_is_that_of_amplitudes(amplitude):
+    fine, wide, broad = (stripes(width, finer=1) - 0.5 for width in (3.0, 9.0, 40.0))
+    mixed = 0.5 + 0.3 * (amplitude * fine + 0.5 * wide + broad)  # broad stripes are no marks
+    expected = amplitude / math.hypot(amplitude, 0.5)
+    assert fine_share(torch.tensor(mixed)) == pytest.approx(expected, rel=0.05)
+    assert fine_share(torch.full((20, 30, 3), 0.3)) == 0
+
+
+def test_a_fine_style_is_enlarged_until_few_of_its_marks_are_fine():
+    style = 0.5 + 0.45 * (stripes(2.1) - 0.5) + 0.45 * (stripes(3.2) - 0.5)
+    # 1.41 times as large, its mean wavelength is wide enough, but half of it is finer than 4
+    enlarged = scale_style(style, 96, StyleConfig(size=math.sqrt(2)), torch.zeros(()))
+    assert mean_wavelength(enlarged) > LEAST_WAVELENGTH and fine_share(enlarged) > MOST_FINE
+    assert find_size(style, 96) == 2
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 1e-6, 0.005])

@@ -11,8 +11,10 @@ from usdsmoke.base.sections import StyleConfig
 from usdsmoke.core.smoke.srgb import luma
 
 LEAST_WAVELENGTH = 3.4  # voxels; finer marks are mottle, as no two views agree on them
-SIZES = tuple(2 ** (n / 4) for n in range(7))  # that an unset ``style.size`` is one of
-LEAST_GAIN = 1.05  # times the wavelength at 1 that a size has to bring, where none brings enough
+SIZES = tuple(2 ** (n / 2) for n in range(5))  # that an unset ``style.size`` is one of
+FINE, WIDE = 4.0, 16.0  # voxels: wavelengths of marks that views disagree on, and of all marks
+MOST_FINE = 0.45  # share of the fine ones that an enlarged style may have
+LEAST_GAIN = 0.95  # times the share at 1 that a size may have at most, where none has little enough
 FLAT = 0.01  # deviation of the luminance below which a style has no marks
 SMALLEST = 16  # pixels; smaller styles are enlarged to this, or filters of 7 pixels see only border
 
@@ -44,24 +46,27 @@ def scale_style(style: np.ndarray, longer_side: float, config: StyleConfig, like
 
 
 def find_size(style: np.ndarray, longer_side: float) -> float:
-    """The least of ``SIZES`` with which the style's marks are wide enough for voxels.
+    """The ``style.size`` with which marks are wide enough for voxels; 1 if they are at 1 already.
 
-    Of a style that has fine marks at any size, the one with the widest, or 1 if that hardly helps.
+    Else the least of ``SIZES`` with few fine marks. Of a style that has many at any size, the one
+    with the fewest, or 1 if that hardly helps.
 
     Args:
         style: [H W 3], display-encoded, in [0, 1].
         longer_side: of the rendered picture, in voxels.
     """
-    found = list[float]()
+    shares = list[float]()
     for size in SIZES:
         # float64: rounding is no mark of a flat style
         like = torch.zeros((), dtype=torch.float64)
         scaled = scale_style(style, longer_side, StyleConfig(size=size), like)
-        found.append(mean_wavelength(scaled))
-        if found[-1] >= LEAST_WAVELENGTH:
+        if not shares and mean_wavelength(scaled) >= LEAST_WAVELENGTH:
             return size
-    widest = max(found)
-    return SIZES[found.index(widest)] if widest >= LEAST_GAIN * found[0] else SIZES[0]
+        shares.append(fine_share(scaled))
+        if shares[-1] <= MOST_FINE:
+            return size
+    fewest = min(shares)
+    return SIZES[shares.index(fewest)] if fewest <= LEAST_GAIN * shares[0] else SIZES[0]
 
 
 def mean_wavelength(style: Tensor) -> float:
@@ -69,16 +74,33 @@ def mean_wavelength(style: Tensor) -> float:
 
     1 over the mean spatial frequency, which counts by the power of the slopes. White noise has 2.1.
     """
+    power, squares = _spectrum(style)
+    slopes = power * squares
+    total = float((slopes * squares.sqrt()).sum())
+    return float(slopes.sum()) / total if total > 0 else math.inf
+
+
+def fine_share(style: Tensor) -> float:
+    """Of the amplitude of an image's marks [H W 3], what is finer than ``FINE`` pixels, in [0, 1].
+
+    The root of the power at wavelengths below ``FINE`` over that below ``WIDE``; 0 for a flat
+    image. White noise has 0.97.
+    """
+    power, squares = _spectrum(style)
+    marks = float(power[squares > WIDE**-2].sum())
+    return math.sqrt(float(power[squares > FINE**-2].sum()) / marks) if marks > 0 else 0.0
+
+
+def _spectrum(style: Tensor) -> tuple[Tensor, Tensor]:
+    """The power of an image's luminance, and the squared frequency in cycles per pixel, [H W]."""
     light = luma(style)
-    if light.std(correction=0) < FLAT:
-        return math.inf
+    flat = light.std(correction=0) < FLAT
     light = light - light.mean()
     for axis, n in enumerate(light.shape):  # borders of the image are no marks
         light = light * torch.hann_window(n, periodic=False).to(light).unsqueeze(1 - axis)
     rows, columns = (torch.fft.fftfreq(n).to(light) for n in light.shape)
-    squares = rows[:, None].square() + columns.square()
-    slopes = torch.fft.fft2(light).abs().square() * squares
-    return float(slopes.sum() / (slopes * squares.sqrt()).sum())
+    power = torch.fft.fft2(light).abs().square()
+    return power.mul_(0 if flat else 1), rows[:, None].square() + columns.square()
 
 
 def adjust_tones(style: np.ndarray, config: StyleConfig) -> np.ndarray:
