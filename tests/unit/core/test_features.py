@@ -174,6 +174,20 @@ def test_oriented_filters_do_not_see_the_mean_colour():
     assert colour.abs().max().item() > 0.1
 
 
+@pytest.mark.parametrize("shape", [(40, 60), (160, 200)])
+def test_filters_learned_from_stripes_answer_to_stripes_that_way(shape):
+    """Of the larger image, with more pixels than patches, some are drawn."""
+    light = 0.5 + 0.3 * torch.sin(torch.arange(shape[1]) * 0.9).expand(shape)
+    learned = LearnedFeatures(light[..., None].repeat(1, 1, 3))
+    along = 0.5 + 0.3 * torch.sin(torch.arange(64) * 0.9)[:, None].expand(64, 64)
+    wanted = frozenset({"learned1"})
+    same, turned = (
+        learned(picture[..., None].repeat(1, 1, 3), wanted)["learned1"].std(dim=(2, 3)).max()
+        for picture in (along.T, along)
+    )
+    assert same > 20 * turned
+
+
 def test_learned_maps_of_the_style_itself_are_standardised():
     network = LearnedFeatures(STYLE)
     for number in (1, 2, 3, 4):

@@ -167,6 +167,16 @@ def test_the_style_s_own_features_cost_next_to_nothing(weights):
         assert target.loss(other, None).item() > 4 * own
 
 
+def test_a_large_style_is_told_by_a_draw_of_its_features():
+    style = torch.from_numpy(random_style(280, 300)).double()  # more than 16 times as many
+    target = StyleTarget(style, Pixels(), {"style": 1.0}, seed=0)
+    shuffled = style.flatten(0, 1)[torch.randperm(280 * 300)].view(300, 280, 3)
+    own = target.loss(shuffled, None).item()
+    assert own < 0.04
+    for other in (style.square(), style.mean(dim=(0, 1)).expand_as(style), style + 0.05):
+        assert target.loss(other, None).item() > 2 * own
+
+
 @pytest.mark.parametrize("weights", DISTRIBUTIONS)
 def test_it_falls_when_a_picture_is_optimised(weights):
     style = torch.from_numpy(random_style(24, 24))

@@ -18,6 +18,7 @@ from usdsmoke.core.fields.sample import (
     sample_linear,
     voxel_positions,
 )
+from usdsmoke.core.smoke.tasks import computing_threads
 
 SAMPLERS = (sample_linear, sample_cubic)
 LOOK_UPS = (*SAMPLERS, partial(sample_linear, boundary="nearest"))
@@ -232,7 +233,9 @@ def test_cubic_look_ups_in_chunks_have_the_bits_of_those_at_once(monkeypatch, ch
     # with gradients wanted all points are taken together
     at_once = sample_cubic(values, positions.clone().requires_grad_()).detach()
     monkeypatch.setattr(sample, "CUBIC_CHUNK", 8)
-    assert torch.equal(sample_cubic(values, positions), at_once)
+    for n_threads in (1, 2):
+        with computing_threads(n_threads):
+            assert torch.equal(sample_cubic(values, positions), at_once)
 
 
 def test_planar_values_are_the_same_values_and_are_not_copied_to_be_sampled():

@@ -121,10 +121,14 @@ def test_the_mean_wavelength_of_stripes_is_theirs(wavelength):
 def test_the_mean_wavelength_of_noise_and_of_one_colour():
     noise = torch.rand(200, 200, 1, generator=torch.Generator().manual_seed(0)).expand(-1, -1, 3)
     assert mean_wavelength(noise) == pytest.approx(2.1, abs=0.1)
+    # power below 4 pixels over that below 16: parts of the plane of frequencies
+    assert fine_share(noise) ** 2 == pytest.approx((1 - np.pi / 16) / (1 - np.pi / 256), abs=0.02)
     assert mean_wavelength(torch.full((20, 30, 3), 0.3)) == float("inf")
 
 
-@pytest.mark.parametrize(("wavelength", "pixels"), [(2.6, 96), (5.2, 48), (5.2, 96), (9.0, 96)])
+@pytest.mark.parametrize(
+    ("wavelength", "pixels"), [(2.6, 96), (3.7, 96), (5.2, 48), (5.2, 96), (9.0, 96)]
+)
 def test_marks_are_enlarged_to_what_voxels_hold_and_not_further(wavelength, pixels):
     style = stripes(wavelength)
     size = find_size(style, pixels)
@@ -161,6 +165,14 @@ def test_a_fine_style_is_enlarged_until_few_of_its_marks_are_fine():
     enlarged = scale_style(style, 96, StyleConfig(size=math.sqrt(2)), torch.zeros(()))
     assert mean_wavelength(enlarged) > LEAST_WAVELENGTH and fine_share(enlarged) > MOST_FINE
     assert find_size(style, 96) == 2
+
+
+def test_a_style_that_stays_too_fine_has_the_size_with_the_fewest_fine_marks():
+    pixels = np.random.default_rng(0).random((300, 300, 1), dtype=np.float32)
+    noise = np.broadcast_to(pixels, (300, 300, 3))
+    assert find_size(noise, 96) == SIZES[-1]  # only there is it finer than the image
+    largest = scale_style(noise, 96, StyleConfig(size=SIZES[-1]), LIKE)
+    assert fine_share(largest) > MOST_FINE
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 1e-6, 0.005])

@@ -115,14 +115,15 @@ class Surroundings:
             rows: of those that are asked for, [M].
         """
         found = torch.empty_like(values[: len(rows)])
-        beside_all = list(itertools.chain.from_iterable(self._beside))  # here: threads share it
+        # not within ``look``, where one thread would make it
+        all_beside = list(itertools.chain.from_iterable(self._beside))
 
         def look(part: slice) -> None:
             here = rows[part]
             own = values[here]
             least, most = torch.full_like(own, math.inf), torch.full_like(own, -math.inf)
             low, high = least, most  # the second ones
-            for beside in beside_all:
+            for beside in all_beside:
                 at = beside[here]
                 value = torch.where(at < len(values), values[at.clamp_max(len(values) - 1)], own)
                 low, high = low.minimum(least.maximum(value)), high.maximum(most.minimum(value))

@@ -357,9 +357,10 @@ def total_variation(picture: Tensor) -> Tensor:
 def _some(features: Tensor, most: int, seed: int) -> Tensor:
     """At most so many of features [C P], drawn at random: even steps would meet the same columns of
     an image again and again."""
-    n, generator = features.shape[1], torch.Generator().manual_seed(seed)
+    n = features.shape[1]
     if n <= most:
         return features
+    generator = torch.Generator().manual_seed(seed)
     if n > MANY_TIMES * most:  # a shuffle would take longer than all that it is for
         chosen = torch.randint(n, (most,), generator=generator)
     else:

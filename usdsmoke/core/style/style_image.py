@@ -14,7 +14,7 @@ LEAST_WAVELENGTH = 3.4  # voxels; finer marks are mottle, as no two views agree 
 SIZES = tuple(2 ** (n / 2) for n in range(5))  # that an unset ``style.size`` is one of
 FINE, WIDE = 4.0, 16.0  # voxels: wavelengths of marks that views disagree on, and of all marks
 MOST_FINE = 0.45  # share of the fine ones that an enlarged style may have
-LEAST_GAIN = 0.95  # times the share at 1 that a size may have at most, where none has little enough
+WORTH_IT = 0.95  # times the fine share at 1: a size with at most that is taken where none suffices
 FLAT = 0.01  # deviation of the luminance below which a style has no marks
 SMALLEST = 16  # pixels; smaller styles are enlarged to this, or filters of 7 pixels see only border
 
@@ -66,7 +66,7 @@ def find_size(style: np.ndarray, longer_side: float) -> float:
         if shares[-1] <= MOST_FINE:
             return size
     fewest = min(shares)
-    return SIZES[shares.index(fewest)] if fewest <= LEAST_GAIN * shares[0] else SIZES[0]
+    return SIZES[shares.index(fewest)] if fewest <= WORTH_IT * shares[0] else SIZES[0]
 
 
 def mean_wavelength(style: Tensor) -> float:
@@ -84,7 +84,7 @@ def fine_share(style: Tensor) -> float:
     """Of the amplitude of an image's marks [H W 3], what is finer than ``FINE`` pixels, in [0, 1].
 
     The root of the power at wavelengths below ``FINE`` over that below ``WIDE``; 0 for a flat
-    image. White noise has 0.97.
+    image. White noise has 0.9.
     """
     power, squares = _spectrum(style)
     marks = float(power[squares > WIDE**-2].sum())
@@ -94,13 +94,12 @@ def fine_share(style: Tensor) -> float:
 def _spectrum(style: Tensor) -> tuple[Tensor, Tensor]:
     """The power of an image's luminance, and the squared frequency in cycles per pixel, [H W]."""
     light = luma(style)
-    flat = light.std(correction=0) < FLAT
-    light = light - light.mean()
+    is_flat = light.std(correction=0) < FLAT
+    light = torch.zeros_like(light) if is_flat else light - light.mean()
     for axis, n in enumerate(light.shape):  # borders of the image are no marks
         light = light * torch.hann_window(n, periodic=False).to(light).unsqueeze(1 - axis)
     rows, columns = (torch.fft.fftfreq(n).to(light) for n in light.shape)
-    power = torch.fft.fft2(light).abs().square()
-    return power.mul_(0 if flat else 1), rows[:, None].square() + columns.square()
+    return torch.fft.fft2(light).abs().square(), rows[:, None].square() + columns.square()
 
 
 def adjust_tones(style: np.ndarray, config: StyleConfig) -> np.ndarray:
