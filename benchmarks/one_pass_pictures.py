@@ -23,8 +23,8 @@ __all__ = ["Gallery", "draw_curves"]
 
 SHOWN = {  # ways and the azimuths that they are drawn from
     "network": {"from the front": 0.0, "from the side": 90.0, "from behind": 180.0},
-    "network + 16": {"from the front": 0.0, "from behind": 180.0},
-    "cold, 165 iterations": {"from the front": 0.0, "from behind": 180.0},
+    "network + 32": {"from the front": 0.0, "from behind": 180.0},
+    "cold, 460 iterations": {"from the front": 0.0, "from behind": 180.0},
 }
 FINER = 3  # pixels along a voxel
 LOOKS = {"noise": "C0o-", "neighbour": "C1s-", "network": "C2^-"}  # of starts in a diagram
