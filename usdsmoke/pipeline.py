@@ -1,13 +1,15 @@
 """The steps of a run in order: a stage is planned, stylized window by window, and assembled."""
 
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from usdsmoke.base.errors import REFUSED
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.resolve import FilePath, Settings, Styles
+from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.output_folder import resolve_output
 from usdsmoke.planning.plan import Plan
@@ -147,8 +149,9 @@ def stylize_job(
     clock, tell = clock or PartClock(), progress or ignore_progress
     with ExitStack() as stack:
         # The run: begun, continued, repeated in part, or refused.
-        with clock.part("preparing"):  # loads torch
+        with clock.part("preparing"), _first_frame_ahead(job) as reader:  # loads torch
             opened = stack.enter_context(open_run(job))
+            opened.reader = reader
         to_do = opened.unfinished
         opened.check_disk(to_do, whole=True)
         # Damage and NaN show before an hour of work.
@@ -165,6 +168,18 @@ def stylize_job(
             stylize_windows(opened, to_do, hashes, tell, redo=True)
         # Frames of two windows are blended, and the look layer is written last.
         return assemble_run(opened, tell, clock)
+
+
+@contextmanager
+def _first_frame_ahead(job: Job) -> Iterator[FrameReader]:
+    """A reader of a job's frames, which reads the first one in another thread meanwhile.
+
+    An error is told when the frame is read again, behind what the run itself is refused for.
+    """
+    reader, task = FrameReader(job.plan), job.plan.tasks[0]
+    with ThreadPoolExecutor(1, "usdsmoke") as ahead:
+        ahead.submit(reader.read, task.volume, task.frames[0])
+        yield reader
 
 
 def run_coarse(
