@@ -219,7 +219,8 @@ def _curves(
     for what, other in others.items():  # drawn with one style
         own = _config(max(other.density.values.shape))
         problem = _problem(other, style, _measure([other], own), own)
-        work, drawn = (problem, trained.generator, Ways()), gallery if is_first else None
+        ways, drawn = Ways(COLD[:3], AFTER[1:]), gallery if is_first else None
+        work = problem, trained.generator, ways
         yield from _rows(f"{name}, {what}, unseen", (other, style), work, drawn, given)
     if given.own and REAL in others:
         yield from _own(name, style, others[REAL], Ways(cold=()), gallery, given)
