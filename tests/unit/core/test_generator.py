@@ -10,10 +10,10 @@ import torch
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.errors import FeatureError
-from usdsmoke.core.generator import convolution, definition
+from usdsmoke.core.generator import convolution, definition, network
 from usdsmoke.core.generator.convolution import convolve
 from usdsmoke.core.generator.definition import FORMAT, N_LEVELS
-from usdsmoke.core.generator.levels import make_levels
+from usdsmoke.core.generator.levels import make_levels, slabs
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.generator.weights import read_weights
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
@@ -146,6 +146,27 @@ def test_a_crop_is_painted_as_the_frame_is() -> None:
         expected = torch.stack([colours[tuple(voxel)] for voxel in part.smoke.ijk.tolist()])
         assert torch.equal(found, expected)
         assert not torch.equal(Canvas(part, 0, 1).paint(generator, 5), expected)
+
+
+def test_a_frame_has_the_same_bits_whatever_its_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    density = np.random.default_rng(5).uniform(-0.5, 1, (70, 20, 18)).clip(0).astype(np.float32)
+    density[40:60] = 0
+    density[50, 3, 4] = 0.5  # a voxel alone: its tile holds one plane
+    density[65:, 0, 0] = 50  # an outlier bounds all densities, wherever it lies
+    smoke, generator = smoke_of(density), Generator.new(torch.tensor([0.2, 0.5, 0.7]), 3)
+    whole = generator(make_levels(smoke, N_LEVELS), 0.7, 5)
+    for n_voxels in (10**6, 4000, 1000, 100, 1):
+        monkeypatch.setattr(network, "TILE_VOXELS", n_voxels)
+        assert torch.equal(generator.paint(smoke, 0.7, 5), whole)
+
+
+@pytest.mark.parametrize("most", [1, 50, 400, 10**6])
+def test_slabs_hold_every_voxel_once(most: int) -> None:
+    ijk = smoke_of(puff(12)).ijk - 5
+    found = slabs(ijk, most)
+    assert sum(slab.holds(ijk).int() for slab in found).eq(1).all()
+    largest = torch.unique(ijk[:, found[0].axis], return_counts=True)[1].max()
+    assert all(0 < int(slab.holds(ijk).sum()) <= most + largest for slab in found)
 
 
 def test_seeds_give_other_patterns() -> None:

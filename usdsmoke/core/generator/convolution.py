@@ -33,6 +33,14 @@ def convolve(values: Tensor, neighbours: Tensor, weight: Tensor, bias: Tensor) -
     return cast(Tensor, _Convolve.apply(values, neighbours, weight, bias))
 
 
+def row_product(rows: Tensor, weight: Tensor) -> Tensor:
+    """``rows @ weight`` of [n C] and [C D]; each row's bits are the same among any others."""
+    n = len(rows)
+    if n < FEWEST:  # without this look, all rows would be copied
+        rows = F.pad(rows, (0, 0, 0, FEWEST - n))
+    return (rows @ weight)[:n]
+
+
 class _Convolve(torch.autograd.Function):
     @staticmethod
     def forward(
@@ -67,11 +75,7 @@ def _gathered_product(values: Tensor, neighbours: Tensor, weight: Tensor) -> Ten
     found = values.new_empty(len(values), weight.shape[2])
 
     def multiply(part: slice) -> None:
-        rows = _gather(table, neighbours[part])
-        n = len(rows)
-        if n < FEWEST:  # without this look, all rows would be copied
-            rows = F.pad(rows, (0, 0, 0, FEWEST - n))
-        found[part] = (rows @ flat)[:n]
+        found[part] = row_product(_gather(table, neighbours[part]), flat)
 
     share_rows(multiply, len(values), ROWS, values.device)
     return found

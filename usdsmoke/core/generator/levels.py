@@ -29,9 +29,10 @@ CORNERS = tuple(product((0, 1), repeat=3))  # of the eight blocks around a voxel
 
 @dataclass(frozen=True)
 class Level:
-    """One octave of a frame."""
+    """One octave of a frame, or of a part of it."""
 
     smoke: ActiveSmoke
+    edge: float  # of a voxel of the frame's finest octave, stage units
     neighbours: Tensor  # [N 27] int32, rows of the 3 x 3 x 3 voxels around each; N where is none
     blocks: SparseSums | None = None  # of the next coarser octave, around each; None: coarsest
     n_blocks: int = 0  # of that octave
@@ -52,29 +53,76 @@ class Level:
         return SparseMap(self.blocks, self.blocks.transposed(self.n_blocks))
 
 
-def make_levels(smoke: ActiveSmoke, n: int, part: Tensor | None = None) -> Sequence[Level]:
-    """``n`` octaves of a frame, coarse to fine.
+@dataclass(frozen=True)
+class Octaves:
+    """The voxels of a frame, fine to coarse, and for each the row of the block that it lies in."""
 
-    Args:
-        smoke: at full resolution, not empty, in the order of ``activate``.
-        part: [N] bool, voxels whose colours are wanted; the octaves then hold what these depend
-            on, and their voxels have the same colours as without. None: all.
-    """
-    octaves = [bounded(smoke)]
-    for _ in range(n - 1):
-        octaves.append(coarsen(octaves[-1]))
-    parents = [block_of(fine, coarse) for fine, coarse in pairwise(octaves)]
-    if part is not None:
-        kept = _needed(octaves, part)
-        rows = [chosen.cumsum(0) - 1 for chosen in kept]
-        parents = [rows[number + 1][parent[kept[number]]] for number, parent in enumerate(parents)]
-        octaves = [octave.take(chosen) for octave, chosen in zip(octaves, kept, strict=True)]
-    levels = [Level(octaves[-1], _neighbours(octaves[-1].ijk))]
-    for octave, parent in zip(reversed(octaves[:-1]), reversed(parents), strict=True):
-        blocks = _blocks_around(octave, parent, levels[-1])
-        n_blocks = len(levels[-1].neighbours)
-        levels.append(Level(octave, _neighbours(octave.ijk), blocks, n_blocks))
-    return levels
+    smokes: Sequence[ActiveSmoke]
+    parents: Sequence[Tensor]
+
+    @classmethod
+    def of(cls, smoke: ActiveSmoke, n: int) -> "Octaves":
+        """``n`` octaves.
+
+        Args:
+            smoke: at full resolution, not empty, in the order of ``activate``.
+        """
+        smokes = [bounded(smoke)]
+        for _ in range(n - 1):
+            smokes.append(coarsen(smokes[-1]))
+        return cls(smokes, [block_of(fine, coarse) for fine, coarse in pairwise(smokes)])
+
+    def levels(self, part: Tensor | None = None) -> Sequence[Level]:
+        """What the network works on, coarse to fine.
+
+        Args:
+            part: [N] bool, voxels whose colours are wanted; the levels then hold what these depend
+                on, and their voxels have the same colours as without. None: all.
+        """
+        smokes, parents, edge = self.smokes, self.parents, self.smokes[0].voxel_size
+        if part is not None:
+            kept = _needed(smokes, part)
+            rows = [chosen.cumsum(0) - 1 for chosen in kept]
+            parents = [rows[n + 1][parent[kept[n]]] for n, parent in enumerate(parents)]
+            smokes = [smoke.take(chosen) for smoke, chosen in zip(smokes, kept, strict=True)]
+        levels = [Level(smokes[-1], edge, _neighbours(smokes[-1].ijk))]
+        for smoke, parent in zip(reversed(smokes[:-1]), reversed(parents), strict=True):
+            blocks = _blocks_around(smoke, parent, levels[-1])
+            n_blocks = len(levels[-1].neighbours)
+            levels.append(Level(smoke, edge, _neighbours(smoke.ijk), blocks, n_blocks))
+        return levels
+
+
+def make_levels(smoke: ActiveSmoke, n: int, part: Tensor | None = None) -> Sequence[Level]:
+    """``n`` octaves of a frame, coarse to fine; see ``Octaves``."""
+    return Octaves.of(smoke, n).levels(part)
+
+
+@dataclass(frozen=True)
+class Slab:
+    """Planes of voxels next to each other."""
+
+    axis: int
+    first: int
+    last: int
+
+    def holds(self, ijk: Tensor) -> Tensor:
+        """Which voxels [N 3] lie in it, [N] bool."""
+        along = ijk[:, self.axis]
+        return (along >= self.first) & (along <= self.last)
+
+
+def slabs(ijk: Tensor, most: int) -> list[Slab]:
+    """Slabs across the longest side that hold all voxels [N 3], about ``most`` each or a plane."""
+    low, high = ijk.amin(0), ijk.amax(0)
+    axis = int((high - low).argmax())
+    begin = int(low[axis])
+    upto = torch.bincount(ijk[:, axis] - begin).cumsum(0)
+    n = -(-len(ijk) // most)
+    wanted = torch.arange(1, n + 1, device=ijk.device) * len(ijk) // n
+    lasts = sorted(set((torch.searchsorted(upto, wanted) + begin).tolist()))
+    firsts = [begin, *(last + 1 for last in lasts[:-1])]
+    return [Slab(axis, *ends) for ends in zip(firsts, lasts, strict=True)]
 
 
 def _needed(octaves: Sequence[ActiveSmoke], part: Tensor) -> list[Tensor]:

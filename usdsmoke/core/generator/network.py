@@ -8,7 +8,7 @@ the smoke around its voxel alone: not on the box, on other frames, or on how wor
 [Ulyanov2016, Gutierrez2020]
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +16,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.generator.convolution import convolve
+from usdsmoke.core.generator.convolution import convolve, row_product
 from usdsmoke.core.generator.definition import N_LEVELS, N_NEIGHBOURS, N_NOISE, parameter_shapes
-from usdsmoke.core.generator.levels import Level, make_levels
+from usdsmoke.core.generator.levels import Level, Octaves, Slab, slabs
 from usdsmoke.core.generator.weights import read_weights, weights_bytes
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.noise import white_noise
@@ -26,6 +26,8 @@ from usdsmoke.core.smoke.noise import white_noise
 SLOPE = 0.1  # of the rectifier below 0
 THIN = 0.03  # optical depth of a voxel beside which thinner ones hardly count
 FAINT = 0.2  # of a usual spread: first weights of the colours
+LANES = 64  # numbers that torch computes at once, or a multiple of them
+TILE_VOXELS = 2**19  # that are painted at once, about
 SEED_STEP = 0x9E3779B9  # between the seeds of neighbouring octaves' noise
 
 
@@ -81,25 +83,37 @@ class Generator:
         Gradients: through the parameters.
         """
         features: Tensor | None = None
-        length = levels[-1].smoke.voxel_size
         for number, level in enumerate(levels):
             inputs = []
             if level is not levels[-1]:
                 inputs.append(_noise(level, seed + number * SEED_STEP))
-                depth = level.smoke.density * (gamma_w * length)
-                inputs.append(torch.log1p(depth / THIN)[:, None])
+                depth = level.smoke.density * (gamma_w * level.edge)
+                inputs.append(_each(torch.log1p, depth / THIN)[:, None])
             if features is not None:
                 inputs.append(level.finer(features))
             first = self._layer(f"{number}.first", torch.cat(inputs, 1), level)
             features = first + self._layer(f"{number}.second", first, level)
         assert features is not None
         p = self.parameters
-        return torch.sigmoid(features @ p["colour.weight"] + p["colour.bias"])
+        logits = row_product(features, p["colour.weight"]) + p["colour.bias"]
+        return _each(torch.sigmoid, logits)
 
     def paint(self, smoke: ActiveSmoke, gamma_w: float, seed: int) -> Tensor:
-        """The colours of smoke at full resolution, which is not empty, without gradients."""
+        """The colours of smoke at full resolution, which is not empty, without gradients.
+
+        Tile by tile, so that tables and features take little more memory for a larger frame.
+        """
+        octaves, colours = Octaves.of(smoke, N_LEVELS), smoke.density.new_empty(len(smoke.ijk), 3)
+
+        def painted(tile: Slab, part: Tensor) -> Tensor:
+            levels = octaves.levels(part)
+            return self(levels, gamma_w, seed)[tile.holds(levels[-1].smoke.ijk)]
+
         with torch.no_grad():
-            return self(make_levels(smoke, N_LEVELS), gamma_w, seed)
+            for tile in slabs(smoke.ijk, TILE_VOXELS):
+                part = tile.holds(smoke.ijk)
+                colours[part] = painted(tile, part)
+        return colours
 
     def copy(self) -> "Generator":
         """The same parameters in tensors of their own, without gradients."""
@@ -112,6 +126,15 @@ class Generator:
     def _layer(self, name: str, values: Tensor, level: Level) -> Tensor:
         weight, bias = (self.parameters[f"{name}.{kind}"] for kind in ("weight", "bias"))
         return F.leaky_relu(convolve(values, level.neighbours, weight, bias), SLOPE)
+
+
+def _each(function: Callable[[Tensor], Tensor], values: Tensor) -> Tensor:
+    """A function of each number, with the same bits wherever it stands in the tensor.
+
+    torch computes the last few numbers of a tensor one by one, which rounds in another way.
+    """
+    n = values.numel()
+    return function(F.pad(values.reshape(-1), (0, -n % LANES)))[:n].view(values.shape)
 
 
 def _noise(level: Level, seed: int) -> Tensor:
