@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from usdsmoke.base.errors import REFUSED
@@ -149,8 +150,8 @@ def stylize_job(
     clock, tell = clock or PartClock(), progress or ignore_progress
     with ExitStack() as stack:
         # The run: begun, continued, repeated in part, or refused.
-        with clock.part("preparing"), _first_frame_ahead(job) as reader:  # loads torch
-            opened = stack.enter_context(open_run(job))
+        with clock.part("preparing"), _reading_ahead(job) as (reader, begin):
+            opened = stack.enter_context(open_run(job, begin))  # loads torch
             opened.reader = reader
         to_do = opened.unfinished
         opened.check_disk(to_do, whole=True)
@@ -171,15 +172,14 @@ def stylize_job(
 
 
 @contextmanager
-def _first_frame_ahead(job: Job) -> Iterator[FrameReader]:
-    """A reader of a job's frames, which reads the first one in another thread meanwhile.
+def _reading_ahead(job: Job) -> Iterator[tuple[FrameReader, Callable[[], object]]]:
+    """A reader of a job's frames, and what makes it read the first one in another thread.
 
     An error is told when the frame is read again, behind what the run itself is refused for.
     """
     reader, task = FrameReader(job.plan), job.plan.tasks[0]
     with ThreadPoolExecutor(1, "usdsmoke") as ahead:
-        ahead.submit(reader.read, task.volume, task.frames[0])
-        yield reader
+        yield reader, partial(ahead.submit, reader.read, task.volume, task.frames[0])
 
 
 def run_coarse(

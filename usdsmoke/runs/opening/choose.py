@@ -1,6 +1,6 @@
 """Which run a call belongs to: begun, continued, joined, done again, made longer, or refused."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -39,11 +39,14 @@ _BEGINNING = "vdb/begin.lock"  # held while a run begins
 
 
 @contextmanager
-def open_run(job: Job) -> Iterator[OpenRun]:
+def open_run(job: Job, accepted: Callable[[], object] = lambda: None) -> Iterator[OpenRun]:
     """The run of a whole job; no other process is in the output folder.
 
     A selection of a result's own frames means these frames once more: the job becomes the result's.
     One of these and more makes the result longer.
+
+    Args:
+        accepted: called when nothing refuses a new run, before torch is loaded.
 
     Raises:
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
@@ -57,7 +60,7 @@ def open_run(job: Job) -> Iterator[OpenRun]:
         else:
             growth = find_growth(job)
             job = growth.job if growth else job
-            run = _choose_run(job, Identity(job), growth=growth)
+            run = _choose_run(job, Identity(job), growth=growth, accepted=accepted)
             opened = OpenRun(run, with_settled(job, run), lock)
             _take_over(opened, growth)
         with _tidy_end(opened):
@@ -280,7 +283,11 @@ def _find_equal(output: Path, identity: Identity) -> Run | None:
 
 
 def _choose_run(
-    job: Job, identity: Identity, alone: bool = True, growth: Growth | None = None
+    job: Job,
+    identity: Identity,
+    alone: bool = True,
+    growth: Growth | None = None,
+    accepted: Callable[[], object] = lambda: None,
 ) -> Run:
     """The run to begin or to continue; with ``force``, runs that never became a result go away.
 
@@ -290,6 +297,7 @@ def _choose_run(
     Args:
         alone: no other process is in the folder; otherwise its unfinished runs stay.
         growth: the result that may be in the way, because it is made longer.
+        accepted: see ``open_run``.
 
     Raises:
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
@@ -304,6 +312,7 @@ def _choose_run(
     given_up = [run for run in others if run.run_id not in published]
     if others and not (force and (alone or not given_up)):
         raise unfinished_in_the_way(output, others[0], identity)
+    accepted()
     for run in given_up:
         run.remove()
     for run in unfinished:
