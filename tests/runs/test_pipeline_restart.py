@@ -2,6 +2,7 @@
 
 import dataclasses
 import random
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +24,15 @@ from tests.fixtures.pipeline_fixtures import (
 from tests.fixtures.usd_fixtures import file_hashes, write_text, write_vdb
 from usdsmoke.base import publish
 from usdsmoke.base.errors import Interrupted, LayerError, NonFiniteError, OutputExists, WriteFailed
+from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.core.smoke.device import Machine
 from usdsmoke.pipeline import stylize
+from usdsmoke.planning.frame_reader import FrameReader
+from usdsmoke.planning.job import Job
+from usdsmoke.planning.plan import FramePlan, VolumePlan
+from usdsmoke.runs import identity
 from usdsmoke.runs.budget import Finding
+from usdsmoke.runs.run_machine import machine_of
 
 RESTYLIZE = ["stage.restylize=true"]
 
@@ -58,6 +66,29 @@ def test_a_result_is_not_overwritten_without_force(shot: Shot) -> None:
         with pytest.raises(OutputExists, match=message):
             run(shot, *settings)
     assert file_hashes(shot.output) == before
+
+
+@pytest.mark.usefixtures("core")
+def test_a_frame_is_read_while_the_machine_is_looked_at_but_not_in_a_refused_run(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, real_read = threading.Event(), FrameReader.read
+
+    def read(self: FrameReader, volume: VolumePlan, frame: FramePlan) -> VolumeFrame:
+        begun.set()
+        return real_read(self, volume, frame)
+
+    def look(job: Job) -> Machine:
+        assert begun.wait(30)  # passes only if another thread reads meanwhile
+        return machine_of(job)
+
+    monkeypatch.setattr(FrameReader, "read", read)
+    monkeypatch.setattr(identity, "machine_of", look)
+    run(shot)
+    begun.clear()
+    with pytest.raises(OutputExists):
+        run(shot, "optimize.seed=1")
+    assert not begun.is_set()
 
 
 @pytest.mark.usefixtures("core")
