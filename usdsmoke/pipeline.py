@@ -1,10 +1,9 @@
 """The steps of a run in order: a stage is planned, stylized window by window, and assembled."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 from usdsmoke.base.errors import REFUSED
@@ -150,9 +149,10 @@ def stylize_job(
     clock, tell = clock or PartClock(), progress or ignore_progress
     with ExitStack() as stack:
         # The run: begun, continued, repeated in part, or refused.
-        with clock.part("preparing"), _reading_ahead(job) as (reader, begin):
-            opened = stack.enter_context(open_run(job, begin))  # loads torch
-            opened.reader = reader
+        with clock.part("preparing"), _ReadAhead(job) as ahead:
+            opened = stack.enter_context(open_run(job, ahead.begin))  # loads torch
+            if ahead.has_begun:
+                opened.reader = ahead.reader
         to_do = opened.unfinished
         opened.check_disk(to_do, whole=True)
         # Damage and NaN show before an hour of work.
@@ -171,15 +171,25 @@ def stylize_job(
         return assemble_run(opened, tell, clock)
 
 
-@contextmanager
-def _reading_ahead(job: Job) -> Iterator[tuple[FrameReader, Callable[[], object]]]:
-    """A reader of a job's frames, and what makes it read the first one in another thread.
+class _ReadAhead:
+    """Reads a job's first frame in another thread, once told to; on exit it is read.
 
     An error is told when the frame is read again, behind what the run itself is refused for.
     """
-    reader, task = FrameReader(job.plan), job.plan.tasks[0]
-    with ThreadPoolExecutor(1, "usdsmoke") as ahead:
-        yield reader, partial(ahead.submit, reader.read, task.volume, task.frames[0])
+
+    def __init__(self, job: Job) -> None:
+        self.reader, self.has_begun = FrameReader(job.plan), False
+        self._task, self._thread = job.plan.tasks[0], ThreadPoolExecutor(1, "usdsmoke")
+
+    def begin(self) -> None:
+        self.has_begun = True
+        self._thread.submit(self.reader.read, self._task.volume, self._task.frames[0])
+
+    def __enter__(self) -> "_ReadAhead":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._thread.shutdown()
 
 
 def run_coarse(

@@ -3,6 +3,7 @@
 import dataclasses
 import random
 import threading
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -24,15 +25,16 @@ from tests.fixtures.pipeline_fixtures import (
 from tests.fixtures.usd_fixtures import file_hashes, write_text, write_vdb
 from usdsmoke.base import publish
 from usdsmoke.base.errors import Interrupted, LayerError, NonFiniteError, OutputExists, WriteFailed
-from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.base.sections import GridsConfig
+from usdsmoke.base.volume import DenseField
 from usdsmoke.core.smoke.device import Machine
 from usdsmoke.pipeline import stylize
-from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
-from usdsmoke.planning.plan import FramePlan, VolumePlan
 from usdsmoke.runs import identity
 from usdsmoke.runs.budget import Finding
 from usdsmoke.runs.run_machine import machine_of
+from usdsmoke.vdb import store
+from usdsmoke.vdb.read import GridRequest, read_grids
 
 RESTYLIZE = ["stage.restylize=true"]
 
@@ -68,27 +70,33 @@ def test_a_result_is_not_overwritten_without_force(shot: Shot) -> None:
     assert file_hashes(shot.output) == before
 
 
-@pytest.mark.usefixtures("core")
-def test_a_frame_is_read_while_the_machine_is_looked_at_but_not_in_a_refused_run(
-    shot: Shot, monkeypatch: pytest.MonkeyPatch
+def test_the_first_frame_is_read_once_while_the_machine_is_looked_at(
+    shot: Shot, core: FakeCore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun, real_read = threading.Event(), FrameReader.read
+    reads, begun = Counter[Path](), threading.Event()
 
-    def read(self: FrameReader, volume: VolumePlan, frame: FramePlan) -> VolumeFrame:
+    def read(file_path: Path, requests: list[GridRequest], config: GridsConfig) -> list[DenseField]:
+        reads[Path(file_path)] += 1
         begun.set()
-        return real_read(self, volume, frame)
+        return read_grids(file_path, requests, config)
 
     def look(job: Job) -> Machine:
         assert begun.wait(30)  # passes only if another thread reads meanwhile
         return machine_of(job)
 
-    monkeypatch.setattr(FrameReader, "read", read)
+    monkeypatch.setattr(store, "read_grids", read)
     monkeypatch.setattr(identity, "machine_of", look)
-    run(shot)
-    begun.clear()
+    stop_at(core, 2.0)
+    with pytest.raises(Interrupted):
+        run(shot, "windows.size=1")
+    assert list(reads.values()) == [1, 1, 1]
+    reads.clear()
     with pytest.raises(OutputExists):
-        run(shot, "optimize.seed=1")
-    assert not begun.is_set()
+        run(shot, "windows.size=1", "optimize.seed=1")
+    assert not reads  # it is refused
+    stop_no_more(core)
+    run(shot, "windows.size=1", "layer.contact_sheet=0")
+    assert Path(shot.stage.parent / "cache/smoke.0001.vdb") not in reads  # its window is finished
 
 
 @pytest.mark.usefixtures("core")

@@ -1,5 +1,6 @@
 """The network that paints smoke in one pass: its arithmetic, its bits, its training, its file."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +11,8 @@ import torch
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.errors import FeatureError
-from usdsmoke.core.generator import convolution, definition, network
-from usdsmoke.core.generator.convolution import convolve
+from usdsmoke.core.generator import convolution, definition, levels, network
+from usdsmoke.core.generator.convolution import by_number, convolve, row_product
 from usdsmoke.core.generator.definition import FORMAT, N_LEVELS
 from usdsmoke.core.generator.levels import make_levels, slabs
 from usdsmoke.core.generator.network import Generator
@@ -151,22 +152,49 @@ def test_a_crop_is_painted_as_the_frame_is() -> None:
 def test_a_frame_has_the_same_bits_whatever_its_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     density = np.random.default_rng(5).uniform(-0.5, 1, (70, 20, 18)).clip(0).astype(np.float32)
     density[40:60] = 0
-    density[50, 3, 4] = 0.5  # a voxel alone: its tile holds one plane
+    density[50] = density[0]  # a tile that holds one plane still has voxels, not a slab's squares
     density[65:, 0, 0] = 50  # an outlier bounds all densities, wherever it lies
-    smoke, generator = smoke_of(density), Generator.new(torch.tensor([0.2, 0.5, 0.7]), 3)
+    generator = Generator.new(torch.tensor([0.2, 0.5, 0.7]), 3)
+    smoke = smoke_of(density, np.diag([1.0, 1.0, 2.0, 1.0]))
     whole = generator(make_levels(smoke, N_LEVELS), 0.7, 5)
+    monkeypatch.setattr(levels, "THINNEST", 1)
     for n_voxels in (10**6, 4000, 1000, 100, 1):
         monkeypatch.setattr(network, "TILE_VOXELS", n_voxels)
         assert torch.equal(generator.paint(smoke, 0.7, 5), whole)
 
 
+@pytest.mark.parametrize("function", [torch.log1p, torch.sigmoid])
+def test_a_number_has_the_same_bits_wherever_it_stands(
+    function: Callable[[torch.Tensor], torch.Tensor],
+) -> None:
+    values = 6 * torch.rand(5000, generator=torch.Generator().manual_seed(0))
+    whole = by_number(function, values)
+    for n in range(1, 5000, 7):
+        assert torch.equal(by_number(function, values[:n]), whole[:n])
+
+
+@pytest.mark.parametrize("n", [1, 7, 33, 63])
+def test_a_product_of_few_rows_has_the_bits_of_many(n: int) -> None:
+    source = torch.Generator().manual_seed(0)
+    rows, weight = (torch.randn(*shape, generator=source) for shape in ((5000, 324), (324, 12)))
+    for first in range(0, 4900, 97):
+        few = row_product(rows[first : first + n].clone(), weight)
+        assert torch.equal(few, row_product(rows, weight)[first : first + n])
+
+
 @pytest.mark.parametrize("most", [1, 50, 400, 10**6])
-def test_slabs_hold_every_voxel_once(most: int) -> None:
+def test_slabs_hold_every_voxel_once(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(levels, "THINNEST", 1)
     ijk = smoke_of(puff(12)).ijk - 5
     found = slabs(ijk, most)
     assert sum(slab.holds(ijk).int() for slab in found).eq(1).all()
     largest = torch.unique(ijk[:, found[0].axis], return_counts=True)[1].max()
     assert all(0 < int(slab.holds(ijk).sum()) <= most + largest for slab in found)
+
+
+def test_slabs_are_not_thinner_than_what_they_depend_on() -> None:
+    ijk = smoke_of(np.ones((200, 4, 4))).ijk
+    assert all(slab.last - slab.first + 1 >= levels.THINNEST for slab in slabs(ijk, 100))
 
 
 def test_seeds_give_other_patterns() -> None:

@@ -5,6 +5,7 @@ number of rows at a time, so that their memory does not grow with the frame. The
 same gather with the weights turned around, because being a neighbour is mutual.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, cast
 
@@ -16,6 +17,7 @@ from torch.autograd.function import once_differentiable
 from usdsmoke.core.smoke.memory import chunks, run_on, share_rows
 
 ROWS = 2**12  # voxels at a time
+LANES = 64  # numbers that torch computes at once, or a multiple of them
 FEWEST = 64  # rows of a product: for fewer, BLAS sums in another order
 
 
@@ -34,11 +36,20 @@ def convolve(values: Tensor, neighbours: Tensor, weight: Tensor, bias: Tensor) -
 
 
 def row_product(rows: Tensor, weight: Tensor) -> Tensor:
-    """``rows @ weight`` of [n C] and [C D]; each row's bits are the same among any others."""
+    """``rows @ weight`` of [n C] and [C D]; on a CPU a row has the same bits among any others."""
     n = len(rows)
     if n < FEWEST:  # without this look, all rows would be copied
         rows = F.pad(rows, (0, 0, 0, FEWEST - n))
     return (rows @ weight)[:n]
+
+
+def by_number(function: Callable[[Tensor], Tensor], values: Tensor) -> Tensor:
+    """A function of each number, with the same bits wherever it stands in the tensor.
+
+    torch computes the last few numbers of a tensor one by one, which rounds in another way.
+    """
+    n = values.numel()
+    return function(F.pad(values.reshape(-1), (0, -n % LANES)))[:n].view(values.shape)
 
 
 class _Convolve(torch.autograd.Function):

@@ -23,6 +23,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke, block_of, coarsen, flat_key
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, share_rows
 
+THINNEST = 32  # planes of voxels in a slab, about
 NEAR, FAR = 0.75, 0.25  # weights of the two blocks around a voxel along an axis
 CORNERS = tuple(product((0, 1), repeat=3))  # of the eight blocks around a voxel; 1: farther
 
@@ -85,6 +86,7 @@ class Octaves:
             rows = [chosen.cumsum(0) - 1 for chosen in kept]
             parents = [rows[n + 1][parent[kept[n]]] for n, parent in enumerate(parents)]
             smokes = [smoke.take(chosen) for smoke, chosen in zip(smokes, kept, strict=True)]
+            del kept, rows
         levels = [Level(smokes[-1], edge, _neighbours(smokes[-1].ijk))]
         for smoke, parent in zip(reversed(smokes[:-1]), reversed(parents), strict=True):
             blocks = _blocks_around(smoke, parent, levels[-1])
@@ -94,7 +96,7 @@ class Octaves:
 
 
 def make_levels(smoke: ActiveSmoke, n: int, part: Tensor | None = None) -> Sequence[Level]:
-    """``n`` octaves of a frame, coarse to fine; see ``Octaves``."""
+    """``n`` octaves of a frame, coarse to fine; see ``Octaves.of`` and ``Octaves.levels``."""
     return Octaves.of(smoke, n).levels(part)
 
 
@@ -113,12 +115,16 @@ class Slab:
 
 
 def slabs(ijk: Tensor, most: int) -> list[Slab]:
-    """Slabs across the longest side that hold all voxels [N 3], about ``most`` each or a plane."""
+    """Slabs across the longest side that hold all voxels [N 3], about ``most`` in each.
+
+    Thin slabs would mostly hold what others depend on, so more voxels are in each where fewer than
+    ``THINNEST`` planes have so many.
+    """
     low, high = ijk.amin(0), ijk.amax(0)
     axis = int((high - low).argmax())
     begin = int(low[axis])
     upto = torch.bincount(ijk[:, axis] - begin).cumsum(0)
-    n = -(-len(ijk) // most)
+    n = max(1, min(-(-len(ijk) // most), len(upto) // THINNEST))
     wanted = torch.arange(1, n + 1, device=ijk.device) * len(ijk) // n
     lasts = sorted(set((torch.searchsorted(upto, wanted) + begin).tolist()))
     firsts = [begin, *(last + 1 for last in lasts[:-1])]

@@ -8,7 +8,7 @@ the smoke around its voxel alone: not on the box, on other frames, or on how wor
 [Ulyanov2016, Gutierrez2020]
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.generator.convolution import convolve, row_product
+from usdsmoke.core.generator.convolution import by_number, convolve, row_product
 from usdsmoke.core.generator.definition import N_LEVELS, N_NEIGHBOURS, N_NOISE, parameter_shapes
 from usdsmoke.core.generator.levels import Level, Octaves, Slab, slabs
 from usdsmoke.core.generator.weights import read_weights, weights_bytes
@@ -26,7 +26,6 @@ from usdsmoke.core.smoke.noise import white_noise
 SLOPE = 0.1  # of the rectifier below 0
 THIN = 0.03  # optical depth of a voxel beside which thinner ones hardly count
 FAINT = 0.2  # of a usual spread: first weights of the colours
-LANES = 64  # numbers that torch computes at once, or a multiple of them
 TILE_VOXELS = 2**19  # that are painted at once, about
 SEED_STEP = 0x9E3779B9  # between the seeds of neighbouring octaves' noise
 
@@ -88,7 +87,7 @@ class Generator:
             if level is not levels[-1]:
                 inputs.append(_noise(level, seed + number * SEED_STEP))
                 depth = level.smoke.density * (gamma_w * level.edge)
-                inputs.append(_each(torch.log1p, depth / THIN)[:, None])
+                inputs.append(by_number(torch.log1p, depth / THIN)[:, None])
             if features is not None:
                 inputs.append(level.finer(features))
             first = self._layer(f"{number}.first", torch.cat(inputs, 1), level)
@@ -96,7 +95,7 @@ class Generator:
         assert features is not None
         p = self.parameters
         logits = row_product(features, p["colour.weight"]) + p["colour.bias"]
-        return _each(torch.sigmoid, logits)
+        return by_number(torch.sigmoid, logits)
 
     def paint(self, smoke: ActiveSmoke, gamma_w: float, seed: int) -> Tensor:
         """The colours of smoke at full resolution, which is not empty, without gradients.
@@ -126,15 +125,6 @@ class Generator:
     def _layer(self, name: str, values: Tensor, level: Level) -> Tensor:
         weight, bias = (self.parameters[f"{name}.{kind}"] for kind in ("weight", "bias"))
         return F.leaky_relu(convolve(values, level.neighbours, weight, bias), SLOPE)
-
-
-def _each(function: Callable[[Tensor], Tensor], values: Tensor) -> Tensor:
-    """A function of each number, with the same bits wherever it stands in the tensor.
-
-    torch computes the last few numbers of a tensor one by one, which rounds in another way.
-    """
-    n = values.numel()
-    return function(F.pad(values.reshape(-1), (0, -n % LANES)))[:n].view(values.shape)
 
 
 def _noise(level: Level, seed: int) -> Tensor:

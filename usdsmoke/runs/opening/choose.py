@@ -46,7 +46,7 @@ def open_run(job: Job, accepted: Callable[[], object] = lambda: None) -> Iterato
     One of these and more makes the result longer.
 
     Args:
-        accepted: called when nothing refuses a new run, before torch is loaded.
+        accepted: called where a run begins with its first frame, before torch is loaded.
 
     Raises:
         OutputExists: there is a result or an unfinished run of other settings, without ``force``.
@@ -312,7 +312,6 @@ def _choose_run(
     given_up = [run for run in others if run.run_id not in published]
     if others and not (force and (alone or not given_up)):
         raise unfinished_in_the_way(output, others[0], identity)
-    accepted()
     for run in given_up:
         run.remove()
     for run in unfinished:
@@ -321,4 +320,5 @@ def _choose_run(
             return run
     if growth is not None:  # the machine stays the same too
         return new_run(output, identity.beside(growth.earlier), identity.stamps)
+    accepted()
     return new_run(output, identity.alone(), identity.stamps)
