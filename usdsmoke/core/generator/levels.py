@@ -19,7 +19,7 @@ from torch import Tensor
 
 from usdsmoke.core.fields.sparse_map import SparseMap, SparseSums
 from usdsmoke.core.generator.definition import N_CONVOLUTIONS, N_NEIGHBOURS
-from usdsmoke.core.smoke.active import ActiveSmoke, block_of, coarsen, flat_key
+from usdsmoke.core.smoke.active import ActiveSmoke, block_of, flat_key, make_octaves
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, share_rows
 
@@ -68,9 +68,7 @@ class Octaves:
         Args:
             smoke: at full resolution, not empty, in the order of ``activate``.
         """
-        smokes = [bounded(smoke)]
-        for _ in range(n - 1):
-            smokes.append(coarsen(smokes[-1]))
+        smokes = make_octaves(bounded(smoke), n)[::-1]
         return cls(smokes, [block_of(fine, coarse) for fine, coarse in pairwise(smokes)])
 
     def levels(self, part: Tensor | None = None) -> Sequence[Level]:
