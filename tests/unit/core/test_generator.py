@@ -13,7 +13,7 @@ from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.errors import FeatureError
 from usdsmoke.core.generator import convolution, definition, levels, network
 from usdsmoke.core.generator.convolution import by_number, convolve, row_product
-from usdsmoke.core.generator.definition import FORMAT, N_LEVELS
+from usdsmoke.core.generator.definition import FORMAT, LEAST_OCTAVES
 from usdsmoke.core.generator.levels import make_levels, slabs
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.generator.weights import read_weights
@@ -57,7 +57,7 @@ def problem_of(density: np.ndarray) -> StepProblem:
 
 def paint(smoke: ActiveSmoke, seed: int = 0) -> torch.Tensor:
     generator = Generator.new(torch.tensor([0.2, 0.5, 0.7]), 3)
-    return generator(make_levels(smoke, N_LEVELS), 1.0, seed)
+    return generator(make_levels(smoke, LEAST_OCTAVES), 1.0, seed)
 
 
 def rod(length: int) -> ActiveSmoke:
@@ -134,6 +134,19 @@ def test_a_colour_depends_on_the_smoke_around_it_alone() -> None:
     assert not same[144:].any()
 
 
+def test_a_network_for_longer_smoke_has_more_octaves_and_sees_farther() -> None:
+    """It also paints smoke that is smaller than a block of its coarsest octave."""
+    config = CONFIG.with_values({"views.image_size": 16, "colour.iterations": [1]})
+    frame = frame_of(rod(100).density.numpy().reshape(100, 3, 3))
+    scene = scene_of([frame], config)
+    trained = train_on_frames([frame], [STYLE], scene, config, 2, lambda state: None).trained
+    assert trained.generator.n_octaves == LEAST_OCTAVES + 1
+    whole, part = (trained.generator.paint(rod(n), 1.0, 0) for n in (200, 150))
+    same = (whole[: len(part)] == part).all(dim=1).view(150, 9).all(dim=1)
+    assert not same.any()  # the changed block is less than 188 voxels away from all
+    assert trained.generator.paint(rod(1), 1.0, 0).isfinite().all()
+
+
 def test_a_crop_is_painted_as_the_frame_is() -> None:
     density = np.random.default_rng(4).uniform(-0.5, 1, (60, 60, 60)).clip(0).astype(np.float32)
     density[30, 30, 30] = 100  # an outlier bounds all densities, wherever it lies
@@ -156,7 +169,7 @@ def test_a_frame_has_the_same_bits_whatever_its_tiles(monkeypatch: pytest.Monkey
     density[65:, 0, 0] = 50  # an outlier bounds all densities, wherever it lies
     generator = Generator.new(torch.tensor([0.2, 0.5, 0.7]), 3)
     smoke = smoke_of(density, np.diag([1.0, 1.0, 2.0, 1.0]))
-    whole = generator(make_levels(smoke, N_LEVELS), 0.7, 5)
+    whole = generator(make_levels(smoke, LEAST_OCTAVES), 0.7, 5)
     monkeypatch.setattr(levels, "THINNEST", 1)
     for n_voxels in (10**6, 4000, 1000, 100, 1):
         monkeypatch.setattr(network, "TILE_VOXELS", n_voxels)
@@ -369,10 +382,14 @@ def test_a_crop_of_a_speck_and_a_far_sheet_is_not_the_speck_alone() -> None:
 def test_a_file_gives_the_same_parameters_and_equal_generators_equal_bytes(
     trained: Trained, file_path: Path
 ) -> None:
-    found = Generator.from_file(file_path)
-    for name, values in trained.generator.parameters.items():
-        assert torch.equal(found.parameters[name], values)
-    assert found.to_bytes({"styles": "a.png"}) == file_path.read_bytes()
+    longer = Generator.new(torch.full((3,), 0.5), 0, LEAST_OCTAVES + 2)
+    for generator in (longer, trained.generator):
+        file_path.write_bytes(generator.to_bytes({"styles": "a.png"}))
+        found = Generator.from_file(file_path)
+        assert found.n_octaves == generator.n_octaves
+        for name, values in generator.parameters.items():
+            assert torch.equal(found.parameters[name], values)
+        assert found.to_bytes({"styles": "a.png"}) == file_path.read_bytes()
 
 
 def test_damaged_and_foreign_files_are_refused(file_path: Path) -> None:

@@ -1,12 +1,16 @@
 """The form of the generator: its octaves, channels and parameters, and how long it is trained;
 without torch."""
 
+import math
 from dataclasses import dataclass
 
 from usdsmoke.core.smoke.schedule import MOST_ALIKE
 
 FORMAT = "3"  # rises with every change after which older parameters paint something else
-N_LEVELS = 5  # octaves; a colour depends on smoke at most 92 voxels away
+LEAST_OCTAVES = 5  # of a network
+BLOCKS_ACROSS = (
+    2.5  # at least: blocks of the coarsest octave along the longest side, in larger ones
+)
 N_NOISE = 3  # channels of noise in each octave but the finest
 WIDTH = 12  # channels of features
 N_CONVOLUTIONS = 2  # of each octave
@@ -45,11 +49,25 @@ def training_parts(n_voxels: int, n_iterations: int = N_ITERATIONS) -> list[Trai
     return [TrainingPart(*part) for part in zip(sizes, counts, views, strict=True)]
 
 
-def parameter_shapes() -> dict[str, tuple[int, ...]]:
+def octaves_for(longest_side: int) -> int:
+    """How many octaves a network has that is trained on frames of that size.
+
+    Marks are wider on more voxels. With fewer octaves, no part of the network sees a whole one.
+
+    >>> [octaves_for(side) for side in (40, 79, 80, 222, 300, 320)]
+    [5, 5, 6, 7, 7, 8]
+
+    Args:
+        longest_side: of the box around the smoke, voxels.
+    """
+    return max(LEAST_OCTAVES, 1 + int(math.log2(max(longest_side, 1) / BLOCKS_ACROSS)))
+
+
+def parameter_shapes(n_octaves: int) -> dict[str, tuple[int, ...]]:
     """The parameters by name, in the order in which they are stored."""
     shapes: dict[str, tuple[int, ...]] = {}
-    for number in range(N_LEVELS):
-        is_finest, has_coarser = number == N_LEVELS - 1, number > 0
+    for number in range(n_octaves):
+        is_finest, has_coarser = number == n_octaves - 1, number > 0
         n_in = (N_NOISE + 1) * (not is_finest) + WIDTH * has_coarser  # noise, density, features
         for name, width in (("first", n_in), ("second", WIDTH)):
             shapes[f"{number}.{name}.weight"] = (N_NEIGHBOURS, width, WIDTH)

@@ -17,7 +17,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.core.generator.convolution import by_number, convolve, row_product
-from usdsmoke.core.generator.definition import N_LEVELS, N_NEIGHBOURS, N_NOISE, parameter_shapes
+from usdsmoke.core.generator.definition import (
+    LEAST_OCTAVES,
+    N_NEIGHBOURS,
+    N_NOISE,
+    parameter_shapes,
+)
 from usdsmoke.core.generator.levels import Level, Octaves, Slab, slabs
 from usdsmoke.core.generator.weights import read_weights, weights_bytes
 from usdsmoke.core.smoke.active import ActiveSmoke
@@ -37,16 +42,17 @@ class Generator:
     parameters: Mapping[str, Tensor]
 
     @classmethod
-    def new(cls, mean: Tensor, seed: int) -> "Generator":
+    def new(cls, mean: Tensor, seed: int, n_octaves: int = LEAST_OCTAVES) -> "Generator":
         """One that is not trained yet, and paints about one colour.
 
         Args:
             mean: display-encoded colour [3].
             seed: of the first parameters.
+            n_octaves: see ``octaves_for``.
         """
         source = torch.Generator().manual_seed(seed)
         parameters = {}
-        for name, shape in parameter_shapes().items():
+        for name, shape in parameter_shapes(n_octaves).items():
             n_in = N_NEIGHBOURS * shape[1] if len(shape) == 3 else shape[0]
             spread = 0.0 if len(shape) == 1 else (2.0 / n_in) ** 0.5
             parameters[name] = torch.randn(shape, generator=source) * spread
@@ -75,7 +81,7 @@ class Generator:
         """Display-encoded colours [N 3] in (0, 1) of the finest octave's voxels.
 
         Args:
-            levels: N_LEVELS octaves, coarse to fine.
+            levels: ``n_octaves`` octaves, coarse to fine.
             gamma_w: extinction per density, 1/stage unit.
             seed: of the noise.
 
@@ -102,7 +108,10 @@ class Generator:
 
         Tile by tile, so that tables and features take little more memory for a larger frame.
         """
-        octaves, colours = Octaves.of(smoke, N_LEVELS), smoke.density.new_empty(len(smoke.ijk), 3)
+        octaves, colours = (
+            Octaves.of(smoke, self.n_octaves),
+            smoke.density.new_empty(len(smoke.ijk), 3),
+        )
 
         def painted(tile: Slab, part: Tensor) -> Tensor:
             levels = octaves.levels(part)
@@ -113,6 +122,11 @@ class Generator:
                 part = tile.holds(smoke.ijk)
                 colours[part] = painted(tile, part)
         return colours
+
+    @property
+    def n_octaves(self) -> int:
+        """How many octaves it has."""
+        return sum(name.endswith(".first.bias") for name in self.parameters)
 
     def copy(self) -> "Generator":
         """The same parameters in tensors of their own, without gradients."""

@@ -52,12 +52,13 @@ def _read(file_path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         what = "no network of usdsmoke" if found is None else f"a network of format {found}"
         raise FeatureError(f"{file_path} is {what}; this version reads format {FORMAT}. {_ADVICE}")
     shapes = {name: values.shape for name, values in arrays.items()}
-    if shapes != parameter_shapes() or notes.get(_DIGEST) != _digest(arrays):
+    expected = parameter_shapes(sum(name.endswith(".first.bias") for name in arrays))
+    if shapes != expected or notes.get(_DIGEST) != _digest(arrays):
         raise FeatureError(
             f"the network {file_path} is damaged: its numbers are not those that were written. "
             f"{_ADVICE}"
         )
-    return {name: arrays[name] for name in parameter_shapes()}, notes
+    return {name: arrays[name] for name in expected}, notes
 
 
 def _digest(arrays: Mapping[str, np.ndarray]) -> str:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from usdsmoke.core.generator.definition import N_LEVELS, WHOLE_VOXELS
+from usdsmoke.core.generator.definition import WHOLE_VOXELS
 from usdsmoke.core.generator.levels import Level, make_levels
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.smoke.active import ActiveSmoke, flat_key
@@ -35,14 +35,18 @@ class Canvas:
     def __init__(
         self, problem: StepProblem, seed: int, n_drawn: int, whole: StepProblem | None = None
     ) -> None:
-        self._problem = problem
-        self._levels, self._shown = _levels(painted_part(problem), whole)
+        self._problem, self._whole = problem, whole
+        self._levels: dict[int, tuple[Sequence[Level], Tensor | None]] = {}  # by how many
         self._pool = replace(colour_pool(problem, 1, seed), n_drawn=n_drawn)
 
     def paint(self, generator: Generator, seed: int) -> Tensor:
         """Display-encoded colours [N 3] from the noise of a seed."""
-        colours = generator(self._levels, self._problem.scene.gamma_w, seed)
-        return colours if self._shown is None else colours[self._shown]
+        n = generator.n_octaves
+        if n not in self._levels:
+            self._levels[n] = _levels(painted_part(self._problem), self._whole, n)
+        levels, shown = self._levels[n]
+        colours = generator(levels, self._problem.scene.gamma_w, seed)
+        return colours if shown is None else colours[shown]
 
     def loss(self, colours: Tensor, iteration: int) -> Tensor:
         """Of display-encoded colours [N 3] in the views of an iteration."""
@@ -51,18 +55,18 @@ class Canvas:
 
 
 def _levels(
-    painted: ActiveSmoke, whole: StepProblem | None
+    painted: ActiveSmoke, whole: StepProblem | None, n: int
 ) -> tuple[Sequence[Level], Tensor | None]:
-    """The octaves that painted voxels depend on, and which of the finest one's they are [N] bool;
-    None: all.
+    """The ``n`` octaves that painted voxels depend on, and which of the finest one's they are [N]
+    bool; None: all.
     """
     if whole is not None:
         smoke = painted_part(whole)
-        levels = make_levels(smoke, N_LEVELS, _among(painted, smoke))
+        levels = make_levels(smoke, n, _among(painted, smoke))
         finest = levels[-1].smoke
         if len(finest.ijk) <= MOST_AROUND * len(painted.ijk):  # else voxels lie far apart
             return levels, _among(painted, finest)
-    return make_levels(painted, N_LEVELS), None
+    return make_levels(painted, n), None
 
 
 def _among(some: ActiveSmoke, smoke: ActiveSmoke) -> Tensor:

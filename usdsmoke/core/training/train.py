@@ -16,6 +16,7 @@ from usdsmoke.core.generator.definition import (
     N_VIEWS,
     USUAL_VOXELS,
     TrainingPart,
+    octaves_for,
     training_parts,
 )
 from usdsmoke.core.generator.network import Generator
@@ -88,8 +89,10 @@ def train_generator(
         NonFiniteError: see ``minimize``.
     """
     seed = held_out.config.optimize.seed
-    found = Generator.new(encode_srgb(held_out.targets.background), seed)
-    largest = max(len(problem.smoke.ijk) for problem in (*problems, held_out))
+    smokes = [problem.smoke.ijk for problem in (*problems, held_out)]
+    longest = max(int((ijk.amax(0) - ijk.amin(0)).max()) + 1 for ijk in smokes)
+    largest = max(map(len, smokes))
+    found = Generator.new(encode_srgb(held_out.targets.background), seed, octaves_for(longest))
     parts, done, best = training_parts(largest, n_iterations), 0, float("inf")
     whole = sum(part.iterations for part in parts)
     for number, part in enumerate(parts):
