@@ -344,11 +344,11 @@ def test_large_frames_are_learned_from_crops_and_then_as_a_whole(
 
     monkeypatch.setattr(train, "Canvas", Told)
     states = list[TrainState]()
-    found = train_on_frames(FRAMES[:1], [STYLE], SCENE, CONFIG, 8, states.append).trained
+    found = train_on_frames(FRAMES[:1], [STYLE], SCENE, CONFIG, 16, states.append).trained
     n = len(problem_of(FRAMES[0].density.values).smoke.ijk)
-    assert [size == n for size in painted] == [False] * 4 + [True] * 2  # n is 527
-    assert max(painted[:4]) <= 250
-    assert len(set(painted[:4])) > 1  # several crops
+    assert [size == n for size in painted] == [False] * 3 + [True] * 6  # n is 527
+    assert max(painted[:3]) <= 250
+    assert len(set(painted[:3])) > 1  # several crops
     assert [state.iteration for state in states] == list(range(len(painted)))
     assert {state.n_iterations for state in states} == {found.n_iterations} == {len(painted)}
 

@@ -21,6 +21,7 @@ N_VIEWS = 2  # of an iteration; of a whole frame after its crops, one
 USUAL_VOXELS = MOST_ALIKE  # of an iteration; with more, as many fewer iterations take as long
 CROP_VOXELS = 240_000  # of the crops of a large frame, before it is learned as a whole
 WHOLE_VOXELS = 1_200_000  # of a frame that is learned as a whole; of a larger one, crops are
+SHARES = (0.4, 1.6)  # of these two parts in the iterations that their voxels would have
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ def training_parts(n_voxels: int, n_iterations: int = N_ITERATIONS) -> list[Trai
     """The parts of a training: a large frame is learned from crops first.
 
     >>> [(part.voxels, part.iterations, part.views) for part in training_parts(1_000_000)]
-    [(240000, 300, 2), (1000000, 72, 1)]
+    [(240000, 120, 2), (1000000, 115, 1)]
 
     Args:
         n_voxels: of the largest frame.
@@ -44,7 +45,11 @@ def training_parts(n_voxels: int, n_iterations: int = N_ITERATIONS) -> list[Trai
     """
     first_crops = n_voxels > CROP_VOXELS
     sizes = [CROP_VOXELS] * first_crops + [min(n_voxels, WHOLE_VOXELS)]
-    counts = [max(1, round(n_iterations * min(1, USUAL_VOXELS / size))) for size in sizes]
+    shares = SHARES if first_crops else (1.0,)
+    counts = [
+        max(1, round(share * n_iterations * min(1, USUAL_VOXELS / size)))
+        for share, size in zip(shares, sizes, strict=True)
+    ]
     views = [N_VIEWS] * first_crops + [1 if first_crops else N_VIEWS]
     return [TrainingPart(*part) for part in zip(sizes, counts, views, strict=True)]
 
