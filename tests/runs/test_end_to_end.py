@@ -109,8 +109,11 @@ def test_fine_marks_are_enlarged_by_the_size_in_the_record(tmp_path: Path) -> No
     stripes = np.broadcast_to(light[:, None, None] * [250, 120, 20], (112, 112, 3))
     Image.fromarray(stripes.astype(np.uint8)).save(shot.style)
 
+    told = {}
+
     def colours(name: str, *settings: str) -> tuple[float, np.ndarray]:
         made = usdsmoke.stylize(shot.stage, shot.style, tmp_path / name, [*QUICK, *settings])
+        told[name] = [text for text in made.warnings if "times as large" in text]
         (found,) = usdsmoke.provenance(str(made.look_layer))
         (size,) = found.record.style_sizes.values()
         return size, grids_of(str(made.frames[0]))[1].values
@@ -119,3 +122,6 @@ def test_fine_marks_are_enlarged_by_the_size_in_the_record(tmp_path: Path) -> No
     assert size > 1
     np.testing.assert_array_equal(colours("set", f"style.size={size!r}")[1], enlarged)
     assert not np.array_equal(colours("one", "style.size=1")[1], enlarged)
+    (words,) = told["unset"]
+    assert f"{size:.3g} times" in words
+    assert not told["set"] and not told["one"]

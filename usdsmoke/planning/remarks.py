@@ -2,8 +2,9 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -77,6 +78,19 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
 def measured_remarks(volumes: Sequence[VolumePlan]) -> list[str]:
     """What is said where scenes are measured on some of the timeCodes."""
     return [text for volume in volumes for text in _part(volume)]
+
+
+def style_remarks(volume: VolumePlan, scene: Mapping[str, Any]) -> list[str]:
+    """That a style is enlarged, because its marks are finer than voxels of a measured scene."""
+    size = scene.get("style_size", 1.0)  # older runs have none
+    if not volume.config.style.is_size_open or size == 1:
+        return []
+    finer, parts = scene.get("style_size_finer", size), 2 * volume.config.grids.refine
+    advice = f". For smaller ones set grids.refine={parts}: it is {finer:.3g} times as large then"
+    return [
+        f"<{volume.source.prim_path}>: marks of the style are finer than voxels can hold, so it is "
+        f"{size:.3g} times as large (style.size){advice if finer < size else ''}"
+    ]
 
 
 def measured_on_part(volume: VolumePlan) -> bool:

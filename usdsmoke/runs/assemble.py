@@ -15,7 +15,7 @@ from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import describe_request
 from usdsmoke.planning.materials import opacity_remarks
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
-from usdsmoke.planning.remarks import measured_on_part
+from usdsmoke.planning.remarks import measured_on_part, style_remarks
 from usdsmoke.runs.budget import (
     ErrorBudget,
     PartClock,
@@ -378,7 +378,7 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
     found += [
         text
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
-        for text in opacity_remarks(volume, scene["gamma_w"])
+        for text in (*opacity_remarks(volume, scene["gamma_w"]), *style_remarks(volume, scene))
     ]
     codes = [frame.source.time_code for volume in plan.volumes for frame in volume.frames]
     if any(code != round(code) for code in codes):

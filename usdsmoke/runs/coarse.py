@@ -55,8 +55,12 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
         scene = measure_scene(
             frames, config.views, config.optics, job.plan.source.up_axis, config.grids.refine
         )
-        size = find_style_size(job.pictures(volume), scene, _with_all_weights(volume))
-        scene = dataclasses.replace(scene, style_size=size)
+        weighted = _with_all_weights(volume)
+        size = finer = find_style_size(job.pictures(volume), scene, weighted)
+        if size > 1:
+            halved = weighted.replace(grids=config.grids.replace(refine=2 * config.grids.refine))
+            finer = find_style_size(job.pictures(volume), scene, halved)
+        scene = dataclasses.replace(scene, style_size=size, style_size_finer=finer)
         if config.colour.target == "albedo" and config.optics.exposure is None:
             from usdsmoke.core.steps.light_share import white_exposure
 
