@@ -44,7 +44,7 @@ _WITHIN = 0.5  # of a box: less is neighbours that touch
 _ROUNDED = 1e-3  # of a voxel: 1e-3 changes the extinction of a puff by 3 %, 1 by 18 %
 _SIZES = (1e-15, 1e15)  # of voxels, stage units: squares of smaller or larger ones leave 32 bits
 _SHEARED = 0.01  # cosine between a camera's axes, and difference of their lengths
-_MOST_REFINED = 4  # of the hint: 64 times the voxels
+MOST_REFINED = 4  # of the hint: 64 times the voxels
 
 
 def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
@@ -81,15 +81,15 @@ def measured_remarks(volumes: Sequence[VolumePlan]) -> list[str]:
 
 
 def style_remarks(volume: VolumePlan, scene: Mapping[str, Any]) -> list[str]:
-    """That a style is enlarged, because its marks are finer than voxels of a measured scene."""
-    size = scene.get("style_size", 1.0)  # older runs have none
-    if not volume.config.style.is_size_open or size == 1:
+    """That a style is enlarged, because its marks are too fine for a measured scene."""
+    size, refine = scene.get("style_size", 1.0), scene.get("style_refine", 0)
+    is_painted = any(not frame.is_empty for frame in volume.frames)
+    if size == 1 or not (volume.config.style.is_size_open and is_painted):
         return []
-    finer, parts = scene.get("style_size_finer", size), 2 * volume.config.grids.refine
-    advice = f". For smaller ones set grids.refine={parts}: it is {finer:.3g} times as large then"
+    advice = f". For smaller marks set grids.refine={refine}: it divides voxels into {refine**3}"
     return [
-        f"<{volume.source.prim_path}>: marks of the style are finer than voxels can hold, so it is "
-        f"{size:.3g} times as large (style.size){advice if finer < size else ''}"
+        f"<{volume.source.prim_path}>: marks of the style are finer than voxels or pictures can "
+        f"hold, so it is {size:.3g} times as large (style.size){advice if refine else ''}"
     ]
 
 
@@ -386,7 +386,7 @@ def _coarse(volume: VolumePlan) -> list[str]:
             ]
     if config.grids.refine > 1 or not _FEWEST <= longest < pixels / _COARSE:
         return []
-    parts = min(math.ceil(pixels / longest), _MOST_REFINED)
+    parts = min(math.ceil(pixels / longest), MOST_REFINED)
     return [
         f"<{volume.source.prim_path}> has {longest} voxels along its longest side: for sharper "
         f"strokes set grids.refine={parts}. It divides each voxel into {parts**3}; pictures have "

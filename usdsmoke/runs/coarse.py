@@ -10,6 +10,8 @@ from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from usdsmoke.base.errors import FileUnreadable
 from usdsmoke.base.json_records import plain_values
 from usdsmoke.base.machine import give_back_memory
@@ -19,6 +21,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask, named_frames
+from usdsmoke.planning.remarks import MOST_REFINED
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, network_file_name
 from usdsmoke.runs.opened import OpenRun, has_coarse_step, missing_starts
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback
@@ -44,7 +47,6 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
         GridError, NonFiniteError: see ``FrameReader.read``.
     """
     from usdsmoke.core.smoke.device import describe_machine
-    from usdsmoke.core.steps.targets import find_style_size
     from usdsmoke.core.views.scene import measure_scene
 
     describe_machine(job.plan.config.optimize)  # and use its threads
@@ -55,12 +57,11 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
         scene = measure_scene(
             frames, config.views, config.optics, job.plan.source.up_axis, config.grids.refine
         )
-        weighted = _with_all_weights(volume)
-        size = finer = find_style_size(job.pictures(volume), scene, weighted)
-        if size > 1:
-            halved = weighted.replace(grids=config.grids.replace(refine=2 * config.grids.refine))
-            finer = find_style_size(job.pictures(volume), scene, halved)
-        scene = dataclasses.replace(scene, style_size=size, style_size_finer=finer)
+        by_refine = partial(_style_size, job.pictures(volume), scene, _with_all_weights(volume))
+        size = by_refine(config.grids.refine)
+        finer = range(config.grids.refine + 1, MOST_REFINED + 1) if size > 1 else ()
+        refine = next((refine for refine in finer if by_refine(refine) < size), 0)
+        scene = dataclasses.replace(scene, style_size=size, style_refine=refine)
         if config.colour.target == "albedo" and config.optics.exposure is None:
             from usdsmoke.core.steps.light_share import white_exposure
 
@@ -69,6 +70,16 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
             scene = dataclasses.replace(scene, stops=white_exposure(frames, config, scene))
         scenes.append(plain_values(dataclasses.asdict(scene)))
     return scenes
+
+
+def _style_size(
+    pictures: Sequence[np.ndarray], scene: "Scene", config: Config, refine: int
+) -> float:
+    """The size of the style, if it is unset, with another ``grids.refine``."""
+    from usdsmoke.core.steps.targets import find_style_size
+
+    refined = config.replace(grids=config.grids.replace(refine=refine))
+    return find_style_size(pictures, scene, refined)
 
 
 def _with_all_weights(volume: VolumePlan) -> Config:

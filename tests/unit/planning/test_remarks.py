@@ -1,5 +1,6 @@
 """What a plan remarks on, and what a run of a part of a shot says at its end."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -231,6 +232,36 @@ def test_at_the_end_the_extinctions_are_told_that_keep_the_look(shot: Shot, core
     assert any(f"optics.gamma={gamma:g}" in text for text in told)
     whole = stylize(shot.stage, shot.style, shot.folder / "whole").warnings
     assert not any("optics.gamma" in text for text in whole)
+
+
+@pytest.mark.usefixtures("core")
+@pytest.mark.parametrize(
+    ("sizes", "setting", "words"),
+    [
+        ((2, 2, 1.41, 1), "grids.refine=1", ["2 times", "grids.refine=3", "into 27"]),
+        ((2, 2, 1.41, 1), "grids.refine=2", ["2 times", "grids.refine=3"]),
+        ((2, 2, 2, 2), "grids.refine=1", ["2 times"]),
+        ((2, 2, 2, 1), "grids.refine=4", None),
+        ((1, 1, 1, 1), "grids.refine=1", None),
+        ((2, 2, 1.41, 1), "style.size=2", None),
+    ],
+)
+def test_at_the_end_an_enlarged_style_is_told_with_the_voxels_that_it_needs(
+    sizes: tuple[float, ...],
+    setting: str,
+    words: list[str] | None,
+    shot: Shot,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    targets = sys.modules["usdsmoke.core.steps.targets"]
+    by_refine = lambda _styles, _scene, config: sizes[config.grids.refine - 1]  # noqa: E731
+    monkeypatch.setattr(targets, "find_style_size", by_refine)
+    told = stylize(shot.stage, shot.style, shot.output, setting).warnings
+    found = [text for text in told if "times as large" in text]
+    assert len(found) == (words is not None)
+    for text in found:
+        assert all(word in text for word in words or ())
+        assert ("grids.refine" in text) == (len(words or ()) > 1)
 
 
 def test_an_overlap_that_no_window_can_have_is_told(shot: Shot) -> None:

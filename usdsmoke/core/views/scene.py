@@ -64,7 +64,7 @@ class Scene:
     thicken: float = 1.0  # times that the thinnest smoke becomes as dense
     knee: float = 0.0  # density, of the curve of thickening; 0: density stays as it is
     style_size: float = 1.0  # size of the style, if ``style.size`` is unset
-    style_size_finer: float = 1.0  # what it would be with voxels of half the size
+    style_refine: int = 0  # ``grids.refine`` with which that would be less; 0: none is known
 
     @property
     def thickening(self) -> Thickening | None:
