@@ -46,8 +46,9 @@ _INTRO = (
     "",
     "The colour step on a plume, from noise by the default iterations, and behind a network that",
     "is trained on other plumes; and a whole frame, both steps, of a quarter as many voxels. Wall",
-    "seconds; on a GPU also of a second run, as it loads code and records losses when it first",
-    "uses them. A whole frame records them anew. The processor computes with four threads at most.",
+    "seconds; on a GPU also of a second run, as it records losses when it first uses them. A whole",
+    "frame records them anew. The training has loaded the GPU's code. The processor computes with",
+    "four threads at most.",
     "The loss is the style loss of four views that nothing was optimised or trained for; that of a",
     "whole frame is of the colour step's last iterations.",
 )
@@ -166,6 +167,7 @@ def _measure(
 ) -> Way:
     on_gpu = device != "cpu"
     if on_gpu:
+        torch.cuda.empty_cache()  # of what was computed before
         torch.cuda.reset_peak_memory_stats()
     spent = []
     for _ in range(2 if on_gpu else 1):

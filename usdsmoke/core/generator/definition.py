@@ -2,15 +2,14 @@
 without torch."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from usdsmoke.core.smoke.schedule import MOST_ALIKE
 
-FORMAT = "3"  # rises with every change after which older parameters paint something else
+FORMAT = "4"  # rises with every change after which older parameters paint something else
 LEAST_OCTAVES = 5  # of a network
-BLOCKS_ACROSS = (
-    2.5  # at least: blocks of the coarsest octave along the longest side, in larger ones
-)
+BLOCKS_ACROSS = 2.5  # blocks of the coarsest octave along the smoke, at least, with more octaves
 N_NOISE = 3  # channels of noise in each octave but the finest
 WIDTH = 12  # channels of features
 N_CONVOLUTIONS = 2  # of each octave
@@ -54,18 +53,24 @@ def training_parts(n_voxels: int, n_iterations: int = N_ITERATIONS) -> list[Trai
     return [TrainingPart(*part) for part in zip(sizes, counts, views, strict=True)]
 
 
-def octaves_for(longest_side: int) -> int:
+def octaves_for(extent: float) -> int:
     """How many octaves a network has that is trained on frames of that size.
 
-    Marks are wider on more voxels. With fewer octaves, no part of the network sees a whole one.
+    Marks are wider on more voxels. On 222 voxels, seven octaves end nearer to the style than five
+    (decision 073).
 
-    >>> [octaves_for(side) for side in (40, 79, 80, 222, 300, 320)]
+    >>> [octaves_for(extent) for extent in (0, 79, 80, 222, 319, 320)]
     [5, 5, 6, 7, 7, 8]
 
     Args:
-        longest_side: of the box around the smoke, voxels.
+        extent: of the smoke, voxels.
     """
-    return max(LEAST_OCTAVES, 1 + int(math.log2(max(longest_side, 1) / BLOCKS_ACROSS)))
+    return max(LEAST_OCTAVES, 1 + int(math.log2(max(extent, 1) / BLOCKS_ACROSS)))
+
+
+def count_octaves(names: Iterable[str]) -> int:
+    """How many octaves parameters of these names are of."""
+    return sum(name.endswith(".first.bias") for name in names)
 
 
 def parameter_shapes(n_octaves: int) -> dict[str, tuple[int, ...]]:

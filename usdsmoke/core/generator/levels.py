@@ -12,14 +12,20 @@ picture. [Odena2016]
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import product
 
 import torch
 from torch import Tensor
 
 from usdsmoke.core.fields.sparse_map import SparseMap, SparseSums
 from usdsmoke.core.generator.definition import N_CONVOLUTIONS, N_NEIGHBOURS
-from usdsmoke.core.smoke.active import ActiveSmoke, block_of, flat_key, make_octaves
+from usdsmoke.core.smoke.active import (
+    ActiveSmoke,
+    block_of,
+    coarsen,
+    divisor_of,
+    flat_key,
+)
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, share_rows
 
@@ -60,16 +66,23 @@ class Octaves:
 
     smokes: Sequence[ActiveSmoke]
     parents: Sequence[Tensor]
+    divisor: Tensor  # [3], see ``divisor_of``
 
     @classmethod
     def of(cls, smoke: ActiveSmoke, n: int) -> "Octaves":
         """``n`` octaves.
 
+        All halve the same axes, also where the smoke is one block wide: else blocks, whose indices
+        their noise belongs to, would depend on the size of the box.
+
         Args:
             smoke: at full resolution, not empty, in the order of ``activate``.
         """
-        smokes = make_octaves(bounded(smoke), n)[::-1]
-        return cls(smokes, [block_of(fine, coarse) for fine, coarse in pairwise(smokes)])
+        divisor, smokes, parents = divisor_of(smoke), [bounded(smoke)], []
+        for _ in range(n - 1):
+            smokes.append(coarsen(smokes[-1], divisor))
+            parents.append(block_of(smokes[-2], smokes[-1], divisor))
+        return cls(smokes, parents, divisor)
 
     def levels(self, part: Tensor | None = None) -> Sequence[Level]:
         """What the network works on, coarse to fine.
@@ -80,7 +93,7 @@ class Octaves:
         """
         smokes, parents, edge = self.smokes, self.parents, self.smokes[0].voxel_size
         if part is not None:
-            kept = _needed(smokes, part)
+            kept = _needed(smokes, part, self.divisor)
             rows = [chosen.cumsum(0) - 1 for chosen in kept]
             parents = [rows[n + 1][parent[kept[n]]] for n, parent in enumerate(parents)]
             smokes = [smoke.take(chosen) for smoke, chosen in zip(smokes, kept, strict=True)]
@@ -129,14 +142,13 @@ def slabs(ijk: Tensor, most: int) -> list[Slab]:
     return [Slab(axis, *ends) for ends in zip(firsts, lasts, strict=True)]
 
 
-def _needed(octaves: Sequence[ActiveSmoke], part: Tensor) -> list[Tensor]:
+def _needed(octaves: Sequence[ActiveSmoke], part: Tensor, divisor: Tensor) -> list[Tensor]:
     """Which voxels of each octave, fine to coarse, a part of the finest one's depends on."""
     low, high = (end(octaves[0].ijk[part], 0) for end in (torch.amin, torch.amax))
     needed = []
     for octave in octaves:
         low, high = low - N_CONVOLUTIONS, high + N_CONVOLUTIONS
         needed.append(((octave.ijk >= low) & (octave.ijk <= high)).all(1))
-        divisor = torch.where(octave.ijk.amax(0) > octave.ijk.amin(0), 2, 1)
         low, high = (torch.div(end, divisor, rounding_mode="floor") for end in (low, high))
         low, high = low - 1, high + 1  # blocks between which values are interpolated
     return needed

@@ -21,6 +21,7 @@ from usdsmoke.core.generator.definition import (
     LEAST_OCTAVES,
     N_NEIGHBOURS,
     N_NOISE,
+    count_octaves,
     parameter_shapes,
 )
 from usdsmoke.core.generator.levels import Level, Octaves, Slab, slabs
@@ -108,10 +109,8 @@ class Generator:
 
         Tile by tile, so that tables and features take little more memory for a larger frame.
         """
-        octaves, colours = (
-            Octaves.of(smoke, self.n_octaves),
-            smoke.density.new_empty(len(smoke.ijk), 3),
-        )
+        octaves = Octaves.of(smoke, self.n_octaves)
+        colours = smoke.density.new_empty(len(smoke.ijk), 3)
 
         def painted(tile: Slab, part: Tensor) -> Tensor:
             levels = octaves.levels(part)
@@ -126,7 +125,7 @@ class Generator:
     @property
     def n_octaves(self) -> int:
         """How many octaves it has."""
-        return sum(name.endswith(".first.bias") for name in self.parameters)
+        return count_octaves(self.parameters)
 
     def copy(self) -> "Generator":
         """The same parameters in tensors of their own, without gradients."""

@@ -7,7 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from usdsmoke.base.errors import FeatureError
-from usdsmoke.core.generator.definition import FORMAT, parameter_shapes
+from usdsmoke.core.generator.definition import (
+    FORMAT,
+    LEAST_OCTAVES,
+    count_octaves,
+    parameter_shapes,
+)
 from usdsmoke.core.style.safetensors import read_safetensors, safetensors_bytes
 
 _FORMAT, _DIGEST = "usdsmoke_generator", "sha256"  # of the format, and of the numbers
@@ -52,7 +57,7 @@ def _read(file_path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         what = "no network of usdsmoke" if found is None else f"a network of format {found}"
         raise FeatureError(f"{file_path} is {what}; this version reads format {FORMAT}. {_ADVICE}")
     shapes = {name: values.shape for name, values in arrays.items()}
-    expected = parameter_shapes(sum(name.endswith(".first.bias") for name in arrays))
+    expected = parameter_shapes(max(LEAST_OCTAVES, count_octaves(arrays)))
     if shapes != expected or notes.get(_DIGEST) != _digest(arrays):
         raise FeatureError(
             f"the network {file_path} is damaged: its numbers are not those that were written. "

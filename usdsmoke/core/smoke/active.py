@@ -96,17 +96,19 @@ def flat_key(ijk: Tensor, low: Tensor, shape: Tensor) -> Tensor:
     return (shifted[:, 0] * shape[1] + shifted[:, 1]) * shape[2] + shifted[:, 2]
 
 
-def coarsen(smoke: ActiveSmoke) -> ActiveSmoke:
+def coarsen(smoke: ActiveSmoke, divisor: Tensor | None = None) -> ActiveSmoke:
     """The smoke at half the resolution along every axis that has more than one voxel; mass is kept.
+
+    Args:
+        divisor: [3], 2 along each axis that is halved, else 1; None: see ``divisor_of``.
 
     Blocks are aligned to even absolute indices, and the coarse transform maps block centres, so
     column integrals of density agree between octaves.
     """
     if len(smoke.ijk) == 0:
         return smoke
-    low, high = smoke.box
-    factor = np.where(high > low, 2, 1)
-    divisor = torch.as_tensor(factor, device=smoke.ijk.device)
+    divisor = divisor_of(smoke) if divisor is None else divisor
+    factor = divisor.cpu().numpy()
     blocks = torch.div(smoke.ijk, divisor, rounding_mode="floor")
     first = blocks.amin(0)
     shape = blocks.amax(0) - first + 1
@@ -121,10 +123,14 @@ def coarsen(smoke: ActiveSmoke) -> ActiveSmoke:
     return ActiveSmoke(ijk + first, density, block_to_index @ smoke.index_to_stage)
 
 
-def block_of(smoke: ActiveSmoke, coarse: ActiveSmoke) -> Tensor:
-    """The row in ``coarsen(smoke)`` of each voxel's block, [N]."""
-    low, high = smoke.ijk.amin(0), smoke.ijk.amax(0)
-    blocks = torch.div(smoke.ijk, torch.where(high > low, 2, 1), rounding_mode="floor")
+def divisor_of(smoke: ActiveSmoke) -> Tensor:
+    """2 along each axis with more than one voxel, else 1, [3]; the smoke is not empty."""
+    return torch.where(smoke.ijk.amax(0) > smoke.ijk.amin(0), 2, 1)
+
+
+def block_of(smoke: ActiveSmoke, coarse: ActiveSmoke, divisor: Tensor) -> Tensor:
+    """The row in ``coarsen(smoke, divisor)`` of each voxel's block, [N]."""
+    blocks = torch.div(smoke.ijk, divisor, rounding_mode="floor")
     first = coarse.ijk.amin(0)
     shape = coarse.ijk.amax(0) - first + 1
     known = flat_key(coarse.ijk, first, shape)  # ascending, as ``coarsen`` leaves them

@@ -11,6 +11,7 @@ from usdsmoke.core.smoke.active import (
     ActiveSmoke,
     block_of,
     coarsen,
+    divisor_of,
     flat_key,
     sample_colours,
 )
@@ -58,7 +59,7 @@ def _around(smoke: ActiveSmoke, weighted: Tensor, trust: Tensor, positions: Tens
     if len(coarse.ijk) == len(smoke.ijk):  # one block, or blocks that never meet
         mean = weighted.double().sum(0) / trust.double().sum()
         return mean.to(weighted).expand(len(positions), -1)
-    block = block_of(smoke, coarse)
+    block = block_of(smoke, coarse, divisor_of(smoke))
     n_members = torch.bincount(block, minlength=len(coarse.ijk)).to(weighted)
     summed = torch.stack(
         [

@@ -36,15 +36,18 @@ class Canvas:
         self, problem: StepProblem, seed: int, n_drawn: int, whole: StepProblem | None = None
     ) -> None:
         self._problem, self._whole = problem, whole
-        self._levels: dict[int, tuple[Sequence[Level], Tensor | None]] = {}  # by how many
+        self._painted: tuple[Sequence[Level], Tensor | None] | None = None  # see ``_levels``
         self._pool = replace(colour_pool(problem, 1, seed), n_drawn=n_drawn)
 
     def paint(self, generator: Generator, seed: int) -> Tensor:
-        """Display-encoded colours [N 3] from the noise of a seed."""
-        n = generator.n_octaves
-        if n not in self._levels:
-            self._levels[n] = _levels(painted_part(self._problem), self._whole, n)
-        levels, shown = self._levels[n]
+        """Display-encoded colours [N 3] from the noise of a seed.
+
+        All generators that paint here have as many octaves.
+        """
+        if self._painted is None:
+            part = painted_part(self._problem)
+            self._painted = _levels(part, self._whole, generator.n_octaves)
+        levels, shown = self._painted
         colours = generator(levels, self._problem.scene.gamma_w, seed)
         return colours if shown is None else colours[shown]
 

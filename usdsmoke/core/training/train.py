@@ -89,10 +89,10 @@ def train_generator(
         NonFiniteError: see ``minimize``.
     """
     seed = held_out.config.optimize.seed
-    smokes = [problem.smoke.ijk for problem in (*problems, held_out)]
-    longest = max(int((ijk.amax(0) - ijk.amin(0)).max()) + 1 for ijk in smokes)
-    largest = max(map(len, smokes))
-    found = Generator.new(encode_srgb(held_out.targets.background), seed, octaves_for(longest))
+    smokes = [problem.smoke for problem in (*problems, held_out)]
+    largest = max(len(smoke.ijk) for smoke in smokes)
+    n_octaves = octaves_for(max(smoke.extent / smoke.voxel_size for smoke in smokes))
+    found = Generator.new(encode_srgb(held_out.targets.background), seed, n_octaves)
     parts, done, best = training_parts(largest, n_iterations), 0, float("inf")
     whole = sum(part.iterations for part in parts)
     for number, part in enumerate(parts):
