@@ -20,7 +20,7 @@ N_VIEWS = 2  # of an iteration; of a whole frame after its crops, one
 USUAL_VOXELS = MOST_ALIKE  # of an iteration; with more, as many fewer iterations take as long
 CROP_VOXELS = 240_000  # of the crops of a large frame, before it is learned as a whole
 WHOLE_VOXELS = 1_200_000  # of a frame that is learned as a whole; of a larger one, crops are
-SHARES = (0.4, 1.6)  # of these two parts in the iterations that their voxels would have
+IN_CROPS, AS_WHOLE = 0.4, 1.6  # of the iterations that as many voxels have otherwise
 
 
 @dataclass(frozen=True)
@@ -42,15 +42,15 @@ def training_parts(n_voxels: int, n_iterations: int = N_ITERATIONS) -> list[Trai
         n_voxels: of the largest frame.
         n_iterations: for small frames.
     """
-    first_crops = n_voxels > CROP_VOXELS
-    sizes = [CROP_VOXELS] * first_crops + [min(n_voxels, WHOLE_VOXELS)]
-    shares = SHARES if first_crops else (1.0,)
-    counts = [
-        max(1, round(share * n_iterations * min(1, USUAL_VOXELS / size)))
-        for share, size in zip(shares, sizes, strict=True)
+    whole = min(n_voxels, WHOLE_VOXELS)
+    parts = [(whole, 1.0, N_VIEWS)]
+    if n_voxels > CROP_VOXELS:
+        parts = [(CROP_VOXELS, IN_CROPS, N_VIEWS), (whole, AS_WHOLE, 1)]
+    usual = [share * n_iterations * min(1, USUAL_VOXELS / size) for size, share, _ in parts]
+    return [
+        TrainingPart(size, max(1, round(n)), views)
+        for (size, _, views), n in zip(parts, usual, strict=True)
     ]
-    views = [N_VIEWS] * first_crops + [1 if first_crops else N_VIEWS]
-    return [TrainingPart(*part) for part in zip(sizes, counts, views, strict=True)]
 
 
 def octaves_for(extent: float) -> int:

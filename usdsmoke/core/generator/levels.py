@@ -12,20 +12,14 @@ picture. [Odena2016]
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 
 import torch
 from torch import Tensor
 
 from usdsmoke.core.fields.sparse_map import SparseMap, SparseSums
 from usdsmoke.core.generator.definition import N_CONVOLUTIONS, N_NEIGHBOURS
-from usdsmoke.core.smoke.active import (
-    ActiveSmoke,
-    block_of,
-    coarsen,
-    divisor_of,
-    flat_key,
-)
+from usdsmoke.core.smoke.active import ActiveSmoke, block_of, divisor_of, flat_key, make_octaves
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, share_rows
 
@@ -78,10 +72,9 @@ class Octaves:
         Args:
             smoke: at full resolution, not empty, in the order of ``activate``.
         """
-        divisor, smokes, parents = divisor_of(smoke), [bounded(smoke)], []
-        for _ in range(n - 1):
-            smokes.append(coarsen(smokes[-1], divisor))
-            parents.append(block_of(smokes[-2], smokes[-1], divisor))
+        divisor = divisor_of(smoke)
+        smokes = make_octaves(bounded(smoke), n, divisor)[::-1]
+        parents = [block_of(fine, coarse, divisor) for fine, coarse in pairwise(smokes)]
         return cls(smokes, parents, divisor)
 
     def levels(self, part: Tensor | None = None) -> Sequence[Level]:

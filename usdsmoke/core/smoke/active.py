@@ -125,7 +125,8 @@ def coarsen(smoke: ActiveSmoke, divisor: Tensor | None = None) -> ActiveSmoke:
 
 def divisor_of(smoke: ActiveSmoke) -> Tensor:
     """2 along each axis with more than one voxel, else 1, [3]; the smoke is not empty."""
-    return torch.where(smoke.ijk.amax(0) > smoke.ijk.amin(0), 2, 1)
+    low, high = smoke.box
+    return torch.as_tensor(np.where(high > low, 2, 1), device=smoke.ijk.device)
 
 
 def block_of(smoke: ActiveSmoke, coarse: ActiveSmoke, divisor: Tensor) -> Tensor:
@@ -194,11 +195,15 @@ def blocks_in(pixel_size: float, smoke: ActiveSmoke) -> int:
     return max(0, math.floor(math.log2(pixel_size / longest) + NEARLY))
 
 
-def make_octaves(smoke: ActiveSmoke, n: int) -> list[ActiveSmoke]:
-    """The smoke at 1/2^(n-1), ..., 1/2, 1 of its resolution, coarse to fine."""
+def make_octaves(smoke: ActiveSmoke, n: int, divisor: Tensor | None = None) -> list[ActiveSmoke]:
+    """The smoke at 1/2^(n-1), ..., 1/2, 1 of its resolution, coarse to fine.
+
+    Args:
+        divisor: of all of them, see ``coarsen``.
+    """
     octaves = [smoke]
     for _ in range(n - 1):
-        octaves.insert(0, coarsen(octaves[0]))
+        octaves.insert(0, coarsen(octaves[0], divisor))
     return octaves
 
 
