@@ -47,6 +47,7 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
         GridError, NonFiniteError: see ``FrameReader.read``.
     """
     from usdsmoke.core.smoke.device import describe_machine
+    from usdsmoke.core.steps.targets import find_style_size
     from usdsmoke.core.views.scene import measure_scene
 
     describe_machine(job.plan.config.optimize)  # and use its threads
@@ -57,10 +58,9 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
         scene = measure_scene(
             frames, config.views, config.optics, job.plan.source.up_axis, config.grids.refine
         )
-        by_refine = partial(_style_size, job.pictures(volume), scene, _with_all_weights(volume))
-        size = by_refine(config.grids.refine)
-        finer = range(config.grids.refine + 1, MOST_REFINED + 1) if size > 1 else ()
-        refine = next((refine for refine in finer if by_refine(refine) < size), 0)
+        weighted, pictures = _with_all_weights(volume), job.pictures(volume)
+        size = find_style_size(pictures, scene, weighted)
+        refine = _smaller_at(pictures, scene, weighted, size) if size > 1 else 0
         scene = dataclasses.replace(scene, style_size=size, style_refine=refine)
         if config.colour.target == "albedo" and config.optics.exposure is None:
             from usdsmoke.core.steps.light_share import white_exposure
@@ -72,14 +72,17 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
     return scenes
 
 
-def _style_size(
-    pictures: Sequence[np.ndarray], scene: "Scene", config: Config, refine: int
-) -> float:
-    """The size of the style, if it is unset, with another ``grids.refine``."""
-    from usdsmoke.core.steps.targets import find_style_size
+def _smaller_at(pictures: Sequence[np.ndarray], scene: "Scene", config: Config, size: float) -> int:
+    """The least ``grids.refine`` with which the size of the style is smaller; 0: there is none."""
+    from usdsmoke.core.steps.targets import find_style_size, side_of_marks
 
-    refined = config.replace(grids=config.grids.replace(refine=refine))
-    return find_style_size(pictures, scene, refined)
+    side, grids = side_of_marks(scene, config), config.grids
+    for refine in range(grids.refine + 1, MOST_REFINED + 1):
+        finer = config.replace(grids=grids.replace(refine=refine))
+        # on no more voxels, marks are no wider
+        if side_of_marks(scene, finer) > side and find_style_size(pictures, scene, finer) < size:
+            return refine
+    return 0
 
 
 def _with_all_weights(volume: VolumePlan) -> Config:

@@ -238,19 +238,27 @@ def sized_style(config: StyleConfig, scene: Scene) -> StyleConfig:
     return config if config.size is not None else config.replace(size=scene.style_size)
 
 
+def side_of_marks(scene: Scene, config: Config) -> float:
+    """The longer side of the picture in what marks of a style are counted in.
+
+    These are the voxels of the shot or, if these are finer, pixels of the usual
+    ``views.image_size``, so that presets agree.
+    """
+    voxels = scene.image_size * scene.pixel_size * config.grids.refine / scene.reference_voxel_size
+    return voxels / max(1, round(voxels / ViewsConfig().image_size))
+
+
 def find_style_size(styles: Sequence[np.ndarray], scene: Scene, config: Config) -> float:
     """The ``Scene.style_size`` of one shot: marks that are finer than voxels can hold are enlarged.
 
-    Of several images, the one that needs the least decides. Marks are counted in the voxels of the
-    shot or, if these are finer, in pixels of the usual ``views.image_size``, so that presets agree.
+    Of several images, the one that needs the least decides. Marks are counted as of
+    ``side_of_marks``.
 
     Args:
         styles: display-encoded images [H W 3] in [0, 1].
     """
     if not config.style.is_size_open:
         return 1.0
-    voxels = scene.image_size * scene.pixel_size * config.grids.refine / scene.reference_voxel_size
-    longer_side = voxels / max(1, round(voxels / ViewsConfig().image_size))
-    shares = style_shares(config.style, len(styles))
+    longer_side, shares = side_of_marks(scene, config), style_shares(config.style, len(styles))
     used = (style for style, share in zip(styles, shares, strict=True) if share > 0)
     return min(find_size(style, longer_side) for style in used)
