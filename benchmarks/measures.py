@@ -10,6 +10,7 @@ mask (the mean over several random crops). Pictures and anchors stand on the sam
 style's mean colour, so that translucent smoke mixes with nothing that the style does not have.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -206,7 +207,8 @@ def score_views(
     Returns:
         By measure: ``closure``, ``value``, ``zero``, ``one`` and ``noise`` (standard deviation of
         the closure of a single paste), one number per view in each; ``mean`` and ``min`` of the
-        closures.
+        closures. A view whose anchors are in the wrong order has no scale: its closure and noise
+        are NaN, and mean and minimum are those of the other views, NaN where there is none.
     """
     if len(images) != len(masks) or not images:
         raise ValueError(
@@ -224,13 +226,16 @@ def score_views(
     scores: dict[str, dict[str, Any]] = {}
     for name, entries in rows.items():
         scores[name] = {key: [entry[key] for entry in entries] for key in keys}
-        scores[name]["mean"] = float(np.mean(scores[name]["closure"]))
-        scores[name]["min"] = float(np.min(scores[name]["closure"]))
+        told = [entry["closure"] for entry in entries if not math.isnan(entry["closure"])]
+        scores[name]["mean"] = float(np.mean(told)) if told else math.nan
+        scores[name]["min"] = min(told, default=math.nan)
     return scores
 
 
 def _row(value: float, zero: float, ones: Sequence[float]) -> dict[str, float]:
     one = float(np.mean(ones))
+    if not zero > one:
+        return {"closure": math.nan, "value": value, "zero": zero, "one": one, "noise": math.nan}
     noise = float(np.std([closure(single, zero, one) for single in ones]))
     reached = closure(value, zero, one)
     return {"closure": reached, "value": value, "zero": zero, "one": one, "noise": noise}

@@ -13,6 +13,7 @@ Everything runs on one thread.
 """
 
 import argparse
+import math
 import statistics
 import sys
 import tempfile
@@ -281,7 +282,8 @@ def _rows(
 
 
 def _line(where: str, way: str, row: Row, share: str = "") -> str:
-    scores = [f"{value:.2f}" for value in row.scores] or [""] * len(MEASURES)
+    told = row.scores or [math.nan] * len(MEASURES)
+    scores = ["" if math.isnan(value) else f"{value:.2f}" for value in told]
     loss = f"{row.loss:.3f}" if row.loss else ""
     return f"| {where} | {way} | {loss} | {row.cpu_s:.2f} | {share} | {' | '.join(scores)} |"
 

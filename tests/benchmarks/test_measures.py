@@ -93,6 +93,18 @@ def test_flat_colours_are_as_far_apart_as_their_rms_difference(mask: np.ndarray)
     assert measures.patch_distance(style, image, mask) == pytest.approx(expected, rel=1e-5)
 
 
+def test_a_view_whose_flat_colour_is_nearer_than_crops_has_no_part_in_the_mean() -> None:
+    """A patch of noise is farther from other noise than from grey; the whole style holds itself."""
+    style = np.random.default_rng(0).uniform(0.3, 0.7, (24, 24, 3)).astype(np.float32)
+    whole, corner = np.ones((24, 24), np.float32), np.zeros((24, 24), np.float32)
+    corner[:9, :9] = 1.0
+    both = measures.score_views(style, [style, style], [whole, corner])["patch"]
+    alone = measures.score_views(style, [style], [whole])["patch"]
+    assert np.isnan(both["closure"]).tolist() == [False, True]
+    assert both["mean"] == both["min"] == alone["mean"]
+    assert np.isnan(measures.score_views(style, [style], [corner])["patch"]["mean"])
+
+
 @pytest.mark.parametrize(("image_shape", "level"), [((8, 9, 3), 1.0), ((8, 8, 3), 0.4)])
 def test_pictures_that_cannot_be_measured_are_refused(
     style: np.ndarray, image_shape: tuple[int, ...], level: float
