@@ -21,6 +21,7 @@ from usdsmoke.base.storage import (
 from usdsmoke.base.volume import DenseField, WrittenFrame
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask
+from usdsmoke.runs.budget import PartClock
 from usdsmoke.runs.delivery import empty_names, result_file
 from usdsmoke.runs.manifests import part_file_name
 from usdsmoke.runs.opened import OpenRun
@@ -80,6 +81,7 @@ def write_result(
     frame: FramePlan,
     stylized: "StylizedFrame",
     source_hashes: Mapping[str, str],
+    clock: PartClock,
 ) -> tuple[str, dict[str, Any]]:
     """Write what one window made of a frame.
 
@@ -111,11 +113,13 @@ def write_result(
         velocity = opened.reader.read_velocity_copy(volume, frame)
         fields, report = result_fields(fields, velocity, others, report, config, stops)
         half = stored_half(config, velocity)
-    make_folders((run.folder / name).parent)
+    target = run.folder / name
+    make_folders(target.parent)
     metadata = frame_metadata(run, volume, frame, source_hashes)
-    content_hash = write_frame(run.folder / name, fields, metadata, half, config.grids)
+    content_hash = write_frame(target, fields, metadata, half, config.grids, clock.part)
     record = manifest_entry(volume, frame, fields[0], content_hash, source_hashes)
-    digest = hash_file(run.folder / name)
+    with clock.part("hashing"):
+        digest = hash_file(target)
     return name, {**record, "sha256": digest, "part": is_part, "report": report.to_json()}
 
 

@@ -216,7 +216,7 @@ def _stylize_window(
         progress.writing(frame.source.time_code)
         with clock.part("writing"):
             hashes = source_hashes[frame.file_name]
-            name, entry = write_result(opened, task, frame, stylized, hashes)
+            name, entry = write_result(opened, task, frame, stylized, hashes, clock)
         record.frames[name] = entry
         report = FrameReport.from_json(entry["report"])
         progress.found(frame.source.time_code, watch.of_frame(frame.file_name, report))

@@ -3,7 +3,8 @@
 import dataclasses
 import math
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ def write_frame(
     file_metadata: Mapping[str, Any],
     half: bool | Collection[str],
     config: GridsConfig | None = None,
+    timed: Callable[[str], AbstractContextManager[Any]] = nullcontext,
 ) -> str:
     """Write all grids of one frame into one VDB file and verify it.
 
@@ -58,6 +60,7 @@ def write_frame(
             The content hash is added as ``usdsmoke:content_sha256``.
         half: store 16-bit floats, in all grids or in those of these names; values are rounded to
             them.
+        timed: a context for each of two parts of the work, ``hashing`` and ``verifying``.
 
     Returns:
         The content hash, see ``content_hash.hash_fields``, of what the file holds.
@@ -73,7 +76,8 @@ def write_frame(
     _check_names(target, fields)
     halves = half if not isinstance(half, bool) else [f.name for f in fields] if half else ()
     stored = [crop_to_active(_as_stored(target, f, f.name in halves)) for f in fields]
-    content = hash_fields(stored)
+    with timed("hashing"):
+        content = hash_fields(stored)
     request = {
         "action": "write",
         "file_metadata": clean_metadata(file_metadata) | {CONTENT_KEY: content},
@@ -92,7 +96,11 @@ def write_frame(
                 "folder and its disk, and whether grids.memory_limit_gib is large enough."
             ) from None
 
-    publish_file(target, write, lambda temporary: _check_written(temporary, target, stored, config))
+    def check(temporary: Path) -> None:
+        with timed("verifying"):
+            _check_written(temporary, target, stored, config)
+
+    publish_file(target, write, check)
     return content
 
 

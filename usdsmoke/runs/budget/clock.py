@@ -28,7 +28,8 @@ class TimedWindow(Protocol):
 
     @property
     def timings(self) -> Mapping[str, float]:
-        """Seconds of these for ``reading`` and ``writing``."""
+        """Seconds of these for ``reading`` and ``writing``, which has those for ``hashing`` and
+        ``verifying`` files."""
 
 
 class PartClock:
@@ -86,6 +87,8 @@ def run_seconds(
     """
     reports, own = list(reports), clock.parts
     storage = math.fsum(report.storage_seconds for report in reports)
+    checks = {part: _of(windows, part) for part in ("hashing", "verifying")}
+    written = _of(windows, "writing") - sum(checks.values()) - storage  # these are parts of it
     parts = {
         "preparing": own.get("preparing", 0.0),
         "reading": own.get("reading", 0.0) + _of(windows, "reading"),
@@ -94,7 +97,8 @@ def run_seconds(
         **step_seconds(reports),
         "transport": math.fsum(report.transport_seconds for report in reports),
         "estimates": math.fsum(report.estimate_seconds for report in reports),
-        "writing": max(_of(windows, "writing") - storage, 0.0),  # storage errors are measured then
+        "writing": max(written, 0.0),
+        **checks,
         "assembling": own.get("assembling", 0.0),
     }
     whole = clock.total - own.get(ELSEWHERE, 0.0) + coarse + math.fsum(w.seconds for w in windows)
