@@ -8,17 +8,14 @@ import torch
 from benchmarks.one_pass import Ways, measure_frame
 from benchmarks.one_pass_pictures import SHOWN, Gallery
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
-from tests.fixtures.stylize_fixtures import quick_config, scene_of
+from tests.fixtures.stylize_fixtures import problem_of, quick_config, scene_of
 from usdsmoke.core.generator.network import Generator
-from usdsmoke.core.sequence.frame_state import make_context, open_frame
 
 
 def test_iterations_lower_the_loss_of_noise_and_of_an_untrained_network() -> None:
-    frame, config = frame_of(puff(10)), quick_config()
-    scene = scene_of([frame], config)
-    context = make_context([random_style()], scene, config, None, 24.0, None, 0)
+    config = quick_config()
+    problem = problem_of(puff(10), scene_of([frame_of(puff(10))], config), config)
     generator = Generator.new(torch.tensor([0.5, 0.3, 0.5]), 0)
-    problem = open_frame(frame, context).colour_problem()
     rows = measure_frame(problem, generator, [0], Ways(cold=[(8, 8)], after=[8]))
     noise, cold, network, after = (row.loss for row in rows)
     assert cold < noise and after < network

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
-from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
+from tests.fixtures.stylize_fixtures import problem_of, quick_config, run_core, scene_of
 from usdsmoke.base.errors import FeatureError
 from usdsmoke.core.generator import convolution, levels, network
 from usdsmoke.core.generator.convolution import by_number, convolve, row_product
@@ -17,12 +17,10 @@ from usdsmoke.core.generator.definition import FORMAT, LEAST_OCTAVES
 from usdsmoke.core.generator.levels import make_levels, slabs
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.generator.weights import read_weights
-from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.smoke import schedule
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.steps.behind import refine_painted
-from usdsmoke.core.steps.targets import StepProblem
 from usdsmoke.core.style.safetensors import safetensors_bytes
 from usdsmoke.core.training.canvas import Canvas, crop
 from usdsmoke.core.training.frames import find_misfit, train_on_frames
@@ -46,12 +44,6 @@ def file_path(trained: Trained, tmp_path: Path) -> Path:
     written = tmp_path / "style.safetensors"
     written.write_bytes(trained.generator.to_bytes({"styles": "a.png"}))
     return written
-
-
-def problem_of(density: np.ndarray) -> StepProblem:
-    """Smoke that is to be painted."""
-    context = make_context([STYLE], SCENE, CONFIG, None, 24.0, None, 0)
-    return open_frame(frame_of(density), context).colour_problem()
 
 
 def paint(smoke: ActiveSmoke, seed: int = 0) -> torch.Tensor:
@@ -161,7 +153,7 @@ def test_smoke_too_far_away_changes_no_colour_however_small_the_box() -> None:
 def test_a_crop_is_painted_as_the_frame_is() -> None:
     density = np.random.default_rng(4).uniform(-0.5, 1, (60, 60, 60)).clip(0).astype(np.float32)
     density[30, 30, 30] = 100  # an outlier bounds all densities, wherever it lies
-    problem = problem_of(density)
+    problem = problem_of(density, SCENE, CONFIG)
     generator = Generator.new(torch.tensor([0.2, 0.5, 0.7]), 3)
     whole = generator.paint(problem.smoke, SCENE.gamma_w, 5)
     colours = dict(zip(map(tuple, problem.smoke.ijk.tolist()), whole, strict=True))
@@ -227,7 +219,7 @@ def test_seeds_give_other_patterns() -> None:
 
 
 def test_a_loss_falls_along_its_gradient_as_finite_differences_say() -> None:
-    canvas = Canvas(problem_of(puff(12)), 0, 2)
+    canvas = Canvas(problem_of(puff(12), SCENE, CONFIG), 0, 2)
     generator = Generator.new(torch.tensor([0.2, 0.5, 0.7]), 3)
     leaves = [values.requires_grad_() for values in generator.parameters.values()]
     loss = canvas.loss(canvas.paint(generator, 0), 0)
@@ -283,31 +275,47 @@ def test_behind_a_network_large_frames_are_refined_on_larger_voxels_first(
     assert done == [(8,), (6, 2)]
 
 
-def border_contrast(colours: torch.Tensor, ijk: torch.Tensor, size: int, n: int) -> list[float]:
-    """Along each axis of a cube of n^3 voxels, away from its faces: the mean difference of two
-    voxels beside each other across borders of blocks, in that of two within a block."""
-    cube, found = colours.view(n, n, n, 3), []
-    for axis in range(3):
-        steps = cube.diff(dim=axis).abs().mean(-1)
-        middle = tuple(slice(8, n - 9) for _ in range(3))
-        is_first = ijk.view(n, n, n, 3)[..., axis].narrow(axis, 1, n - 1)[middle] % size == 0
+def border_contrast(colours: torch.Tensor, smoke: ActiveSmoke, size: int) -> list[float]:
+    """Along each axis of a filled box that is long enough, away from its faces: the mean difference
+    of two voxels beside each other across borders of blocks, in that of two within a block."""
+    shape, found = (smoke.ijk.amax(0) + 1).tolist(), []
+    box, ijk = colours.view(*shape, 3), smoke.ijk.view(*shape, 3)
+    for axis, n in enumerate(shape):
+        if n < 2 * size:
+            continue
+        steps = box.diff(dim=axis).abs().mean(-1)
+        middle = tuple(slice(8, length - 9) for length in shape)
+        is_first = ijk[..., axis].narrow(axis, 1, n - 1)[middle] % size == 0
         found.append(float(steps[middle][is_first].mean() / steps[middle][~is_first].mean()))
     return found
+
+
+def check_seams(generator: Generator, shape: tuple[int, int, int], size: int) -> None:
+    """Between blocks of a size in a filled box; the check finds such that are there."""
+    smoke, seams = smoke_of(np.full(shape, 1.0, np.float32)), torch.tensor([0.03])
+    colours = generator.paint(smoke, SCENE.gamma_w, 0)
+    assert max(border_contrast(colours, smoke, size)) < 1.1
+    checkered = torch.div(smoke.ijk, size, rounding_mode="floor").sum(1, keepdim=True) % 2
+    assert min(border_contrast(colours + seams * checkered, smoke, size)) > 1.1
 
 
 @pytest.mark.parametrize("size", [2, 4, 8, 16])
 def test_painted_smoke_has_no_seams_at_borders_of_blocks(trained: Trained, size: int) -> None:
     """Levels of the network have voxels of these sizes, aligned to absolute indices."""
-    n, seams = 40, torch.tensor([0.03])
-    smoke = smoke_of(np.full((n, n, n), 1.0, np.float32))
-    colours = trained.generator.paint(smoke, SCENE.gamma_w, 0)
-    assert max(border_contrast(colours, smoke.ijk, size, n)) < 1.1
-    checkered = torch.div(smoke.ijk, size, rounding_mode="floor").sum(1, keepdim=True) % 2
-    assert min(border_contrast(colours + seams * checkered, smoke.ijk, size, n)) > 1.1
+    check_seams(trained.generator, (40, 40, 40), size)
+
+
+@pytest.mark.parametrize("size", [32, 64])
+@pytest.mark.parametrize("axis", range(3))
+def test_blocks_of_networks_of_more_octaves_have_no_seams(axis: int, size: int) -> None:
+    sides = [24, 24, 24]
+    sides[axis] = 4 * size
+    generator = Generator.new(torch.tensor([0.2, 0.5, 0.7]), 3, LEAST_OCTAVES + 2)
+    check_seams(generator, (sides[0], sides[1], sides[2]), size)
 
 
 def test_what_is_finer_than_an_octave_behind_a_network_stays(trained: Trained) -> None:
-    problem = problem_of(puff(16))
+    problem = problem_of(puff(16), SCENE, CONFIG)
     values = {"views.pool": 16, "optimize.tolerance": 0.0}
     problem = replace(problem, config=problem.config.with_values(values))
     neighbours = make_levels(problem.smoke, 1)[0].neighbours
