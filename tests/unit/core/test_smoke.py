@@ -84,6 +84,20 @@ def test_octaves_do_not_depend_on_how_the_box_was_cropped():
         assert np.array_equal(octave.index_to_stage, other.index_to_stage)
 
 
+def test_smoke_far_away_changes_no_block():
+    """However large the box: blocks of near and far smoke are those of each alone."""
+    parts = [activated(puff(6), low) for low in ((-3, 1, 2), (40_001, -90_000, 70_003))]
+    both = ActiveSmoke(
+        torch.cat([part.ijk for part in parts]),
+        torch.cat([part.density for part in parts]),
+        parts[0].index_to_stage,
+    )
+    alone = [coarsen(part) for part in parts]
+    found = coarsen(both)
+    assert torch.equal(found.ijk, torch.cat([part.ijk for part in alone]))
+    assert torch.equal(found.density, torch.cat([part.density for part in alone]))
+
+
 def test_blocks_below_zero_are_aligned_like_those_above():
     """-1 and -2 are one block, 0 and 1 the next: nothing is mirrored at 0."""
     smoke = activated(np.ones((4, 1, 1), np.float32), (-2, 0, 0))

@@ -129,8 +129,10 @@ class Voxels(Placed):
         filled = len(self.ijk) / np.prod((high - low + 1).astype(float))
         if filled < FILLED or len(self.ijk) < FEWEST_ABOVE:
             return 0.0
-        long = high > low
-        faces = ((self.ijk == low) | (self.ijk == high))[:, long].any(axis=1)
+        faces = np.zeros(len(self.ijk), bool)
+        for place, first, last in zip(self.ijk.T, low, high, strict=True):
+            if last > first:
+                faces |= (place == first) | (place == last)
         level = float(np.median(self.density[faces]))
         return level if (self.density > ABOVE * level).sum() >= FEWEST_ABOVE else 0.0
 

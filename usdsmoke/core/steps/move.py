@@ -136,12 +136,12 @@ def move_density(
     u.div_(box.new_tensor(lattice.spacing))
     scheme = shape.interpolation
     moved, linear = _moved(box, u, level, scheme)
-    measures: list[Callable[[], Any]] = [
+    measures: list[Callable[[], Any]] = [  # the longest one first
+        partial(measure_evenness, u, box),
         partial(_scheme_error, box, u, moved, scheme),
         partial(_motionless, source, box, lattice, shape, mask),
-        partial(measure_evenness, u, box),
     ]
-    estimate, motionless, evenness = run_on(box.device, measures)
+    evenness, estimate, motionless = run_on(box.device, measures)
 
     # restore the mass, and put the box into the field
     result, mass_error = _with_mass(moved, box, shape.mass_correction, share, linear)
