@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy import ndimage
 from torch import Tensor
 
 from benchmarks.control_scenes import frame_of, paint_styles, simulate_smoke
@@ -24,12 +25,14 @@ from usdsmoke.core.style.style_image import scale_style
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.vdb.read import GridRequest, read_grids
 
-__all__ = ["Judge", "Verdict", "find_scenes"]
+__all__ = ["Judge", "Verdict", "find_scenes", "turned_plumes"]
 
 N_VIEWS = 6
 THIN = 0.05  # as in the steps
 STYLE = "strokes"
 MEASURES = ("patch", "colour", "spectrum")
+TURNS = (0.0, 50.0, 25.0, 75.0)  # degrees
+FAINTEST = 1e-4  # share of the largest density, below which a turned plume has none
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,20 @@ def read_real_plume(vdb_file: Path, width: int) -> VolumeFrame:
     matrix[3, :3] = (first @ density.index_to_world)[:3]
     smoke = DenseField("density", coarse.astype(np.float32), (0, 0, 0), matrix)
     return VolumeFrame(1.0, smoke, np.eye(4))
+
+
+def turned_plumes(vdb_file: Path) -> list[VolumeFrame]:
+    """Four frames of the real plume as it is, turned by ``TURNS`` about the vertical."""
+    plume = read_real_plume(vdb_file, sys.maxsize)
+    frames = []
+    for number, degrees in enumerate(TURNS):
+        values = plume.density.values
+        if degrees:
+            values = ndimage.rotate(values, degrees, axes=(0, 2), reshape=False, order=1)
+        values = np.where(values > FAINTEST * values.max(), values, 0).astype(np.float32)
+        density = replace(plume.density, values=np.ascontiguousarray(values))
+        frames.append(VolumeFrame(number + 1.0, density, plume.density_to_stage))
+    return frames
 
 
 class Judge:

@@ -7,9 +7,10 @@ with one more, and paints a frame that it has not seen, and two of other shots: 
 source, more heat and other gusts, and the real plume, its voxels merged in blocks, where its file
 is there. Beside it stand cold starts of the colour step, a start from the frame before, and the
 network with iterations after it. ``--other`` trains on the first of these shots instead, ``--own``
-also on the real plume, a shot of one frame, ``--large`` only there, at full resolution. Density is
-as it is in the files. Losses and scores are means over views that no run has, and over the seeds.
-Everything runs on one thread.
+also on the real plume, a shot of one frame. ``--large`` trains only there, at full resolution, on
+two frames in which the plume is turned, and paints another one. Density is as it is in the files.
+Losses and scores are means over views that no run has, and over the seeds. Everything runs on one
+thread.
 """
 
 import argparse
@@ -29,7 +30,7 @@ import torch
 from benchmarks.circumstances import publish, table_page
 from benchmarks.coherence_runs import simulate_plume
 from benchmarks.control_scenes import style_pixels
-from benchmarks.equal_judge import Judge, read_real_plume
+from benchmarks.equal_judge import Judge, read_real_plume, turned_plumes
 from benchmarks.long_shot import STEP, fit_line
 from benchmarks.one_pass_pictures import Gallery
 from benchmarks.stages import PLUME_FILE
@@ -224,7 +225,7 @@ def _curves(
         work = problem, trained.generator, ways
         yield from _rows(f"{name}, {what}, unseen", (other, style), work, drawn, given)
     if given.own and REAL in others:
-        yield from _own(name, style, others[REAL], Ways(cold=()), gallery, given)
+        yield from _own(name, style, [others[REAL]], Ways(cold=()), gallery, given)
     if given.shown and is_first:
         yield from _coherence(name, style, frames, trained.generator, config)
 
@@ -232,22 +233,19 @@ def _curves(
 def _own(
     name: str,
     style: np.ndarray,
-    frame: VolumeFrame,
+    frames: Sequence[VolumeFrame],
     ways: Ways,
     gallery: Gallery | None,
     given: argparse.Namespace,
 ) -> Iterator[str]:
-    """The real plume with a network that is trained on it, a shot of one frame."""
+    """The real plume with a network of its own: the last frame, by the others if there are any."""
+    *seen, frame = frames
     config = _config(max(frame.density.values.shape))
-    scene = _measure([frame], config)
+    scene = _measure(frames, config)
     where = f"{name}, real plume, own network"
-    if given.network:
-        generator = Generator.from_file(given.network)
-    else:
-        fitted, seconds = _fit([frame], style, (scene, config), given)
-        yield _line(where, f"training, {fitted.n_iterations} iterations", Row("", 0.0, seconds))
-        generator = fitted.generator
-    work = _problem(frame, style, scene, config), generator, ways
+    fitted, seconds = _fit(seen or frames, style, (scene, config), given)
+    yield _line(where, f"training, {fitted.n_iterations} iterations", Row("", 0.0, seconds))
+    work = _problem(frame, style, scene, config), fitted.generator, ways
     yield from _rows(where, (frame, style), work, gallery, given)
 
 
@@ -365,8 +363,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--shown", action="store_true", help="temporal errors of the first style")
     parser.add_argument("--other", action="store_true", help="train on the other plume alone")
     parser.add_argument("--own", action="store_true", help="train on the real plume, too")
-    parser.add_argument("--large", action="store_true", help="only the real plume, as it is")
-    parser.add_argument("--network", type=Path, help="with --large: trained there before")
+    parser.add_argument("--large", action="store_true", help="only the real plume, turned")
     parser.add_argument("--picture", type=Path, help="draw the results, with one seed")
     parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="real volumes")
     parser.add_argument("--report", type=Path, help="write the page here")
@@ -375,8 +372,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     file_path, lines = given.data / PLUME_FILE, list[str]()
     gallery = Gallery() if given.picture else None
     if given.large:
-        frame = read_real_plume(file_path, sys.maxsize)
-        work = [(Path(name).stem, style_pixels(name), frame) for name in given.styles]
+        frames = turned_plumes(file_path)
+        work = [(Path(name).stem, style_pixels(name), frames) for name in given.styles]
         made = [partial(_own, *one, Ways(), gallery, given) for one in work]
     elif given.long:
         made = [partial(_long_shot, given.styles[0], given)]
