@@ -85,16 +85,7 @@ def write_frame(
     }
 
     def write(temporary: Path) -> None:
-        arrays = [field.values for field in stored]
-        temporary.write_bytes(b"")  # raises the system's own error
-        try:
-            child.run_child({**request, "file_path": str(temporary)}, arrays, config)
-        except ChildFailure as failure:
-            _try_disk(temporary)
-            raise WriteFailed(
-                f"cannot write {target.name} in {target.parent}: {failure}. Check the output "
-                "folder and its disk, and whether grids.memory_limit_gib is large enough."
-            ) from None
+        _write_unchecked(temporary, target, request, stored, config)
 
     def check(temporary: Path) -> None:
         with timed("verifying"):
@@ -102,6 +93,26 @@ def write_frame(
 
     publish_file(target, write, check)
     return content
+
+
+def _write_unchecked(
+    temporary: Path,
+    target: Path,
+    request: Mapping[str, Any],
+    stored: Sequence[DenseField],
+    config: GridsConfig,
+) -> None:
+    """Write the grids to a new file, for the target."""
+    temporary.write_bytes(b"")  # raises the system's own error
+    try:
+        arrays = [field.values for field in stored]
+        child.run_child({**request, "file_path": str(temporary)}, arrays, config)
+    except ChildFailure as failure:
+        _try_disk(temporary)
+        raise WriteFailed(
+            f"cannot write {target.name} in {target.parent}: {failure}. Check the output "
+            "folder and its disk, and whether grids.memory_limit_gib is large enough."
+        ) from None
 
 
 def clean_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
