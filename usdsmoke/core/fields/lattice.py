@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -14,7 +15,7 @@ from usdsmoke.base.errors import PlanError
 from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.sample import Boundary, sample_linear
 from usdsmoke.core.smoke.active import ActiveSmoke, densify
-from usdsmoke.core.smoke.memory import chunks
+from usdsmoke.core.smoke.memory import chunks, run_on
 
 LATTICE_CHUNK = 2**16  # voxels
 LONGEST = 4096  # voxels along an axis: blurs and pyramids take a square matrix of that size
@@ -77,19 +78,25 @@ class Lattice:
         """The values of a function of position on all voxels of the box, [I J K ...], by chunks.
 
         Args:
-            at: stage positions [n 3] float64 -> [n ...].
+            at: stage positions [n 3] float64 -> [n ...]; called from several threads.
             like: gives the device of the positions.
         """
-        n_voxels, found = math.prod(self.shape), None
-        for part in chunks(n_voxels, LATTICE_CHUNK, like.device):
+        n_voxels = math.prod(self.shape)
+
+        def values_of(part: slice) -> Tensor:
             flat = torch.arange(part.start, part.stop, device=like.device)
             ij, k = flat // self.shape[2], flat % self.shape[2]
-            places = torch.stack([ij // self.shape[1], ij % self.shape[1], k], -1)
-            values = at(self.positions(places))
-            if found is None:
-                found = values.new_empty((n_voxels, *values.shape[1:]))
-            found[part] = values
-        assert found is not None  # a box has voxels
+            return at(self.positions(torch.stack([ij // self.shape[1], ij % self.shape[1], k], -1)))
+
+        first, *others = chunks(n_voxels, LATTICE_CHUNK, like.device)  # a box has voxels
+        values = values_of(first)
+        found = values.new_empty((n_voxels, *values.shape[1:]))
+        found[first] = values
+
+        def put(part: slice) -> None:
+            found[part] = values_of(part)
+
+        run_on(like.device, [partial(put, part) for part in others])
         return found.view(*self.shape, *found.shape[1:])
 
     def to_stage(self, vectors: Tensor) -> Tensor:
