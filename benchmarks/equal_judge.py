@@ -85,7 +85,10 @@ def read_real_plume(vdb_file: Path, width: int) -> VolumeFrame:
 
 
 def turned_plumes(vdb_file: Path) -> list[VolumeFrame]:
-    """Four frames of the real plume as it is, turned by ``TURNS`` about the vertical."""
+    """Four frames of the real plume at full resolution, turned by ``TURNS`` about the vertical.
+
+    Voxels below ``FAINTEST`` of the largest density are left out.
+    """
     plume = read_real_plume(vdb_file, sys.maxsize)
     frames = []
     for number, degrees in enumerate(TURNS):

@@ -8,9 +8,9 @@ source, more heat and other gusts, and the real plume, its voxels merged in bloc
 is there. Beside it stand cold starts of the colour step, a start from the frame before, and the
 network with iterations after it. ``--other`` trains on the first of these shots instead, ``--own``
 also on the real plume, a shot of one frame. ``--large`` trains only there, at full resolution, on
-two frames in which the plume is turned, and paints another one. Density is as it is in the files.
-Losses and scores are means over views that no run has, and over the seeds. Everything runs on one
-thread.
+two frames, the plume and the same turned, and paints it turned further. Density is as it is in the
+files. Losses and scores are means over views that no run has, and over the seeds. Everything runs
+on one thread.
 """
 
 import argparse

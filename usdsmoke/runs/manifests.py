@@ -21,7 +21,7 @@ class WindowRecord:
     overlap: list[float]  # those of the next window that it computes too
     frames: dict[str, dict[str, Any]]  # by file, relative to the run's folder; see write_result
     seconds: float
-    timings: dict[str, float] = field(default_factory=dict)  # of these: reading, writing
+    timings: dict[str, float] = field(default_factory=dict)  # see TimedWindow
     processor: str = ""  # the kind of processor that computed it
 
     @property

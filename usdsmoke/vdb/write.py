@@ -85,7 +85,7 @@ def write_frame(
     }
 
     def write(temporary: Path) -> None:
-        _write_unchecked(temporary, target, request, stored, config)
+        _write_grids(temporary, target, request, stored, config)
 
     def check(temporary: Path) -> None:
         with timed("verifying"):
@@ -95,14 +95,14 @@ def write_frame(
     return content
 
 
-def _write_unchecked(
+def _write_grids(
     temporary: Path,
     target: Path,
     request: Mapping[str, Any],
     stored: Sequence[DenseField],
     config: GridsConfig,
 ) -> None:
-    """Write the grids to a new file, for the target."""
+    """Write the grids to the temporary file; errors name the target."""
     temporary.write_bytes(b"")  # raises the system's own error
     try:
         arrays = [field.values for field in stored]

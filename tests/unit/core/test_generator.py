@@ -291,7 +291,7 @@ def border_contrast(colours: torch.Tensor, smoke: ActiveSmoke, size: int) -> lis
 
 
 def check_seams(generator: Generator, shape: tuple[int, int, int], size: int) -> None:
-    """Between blocks of a size in a filled box; the check finds such that are there."""
+    """There are no seams between blocks of this size; seams that are added are found."""
     smoke, seams = smoke_of(np.full(shape, 1.0, np.float32)), torch.tensor([0.03])
     colours = generator.paint(smoke, SCENE.gamma_w, 0)
     assert max(border_contrast(colours, smoke, size)) < 1.1

@@ -59,7 +59,7 @@ def test_the_parts_add_up_to_what_all_processes_took() -> None:
     assert (found["shape"], found["colour"], found["estimates"]) == (4.0, 6.0, 2.0)
     assert found["transport"] == 1.0
     assert (found["hashing"], found["verifying"]) == (0.25, 0.75)
-    assert found["writing"] == 1.0  # without these, and looking at what the files lose
+    assert found["writing"] == 1.0  # without these, and without the time of storage errors
     assert found["the rest"] == pytest.approx(2.0)
 
 

@@ -5,9 +5,7 @@ over the smoke of both, at half the resolution. In shots that flow it is 0.05 to
 pattern only rests; for two plumes that have nothing to do with each other 0.45 to 0.65.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -19,7 +17,6 @@ from usdsmoke.core.sequence.motion import estimate_velocity
 from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, densify, sample_colours
 from usdsmoke.core.smoke.levels import bounded, ranked
-from usdsmoke.core.smoke.memory import run_on
 
 UNLIKE = 0.4  # from this difference on the frames have nothing in common
 ALIKE = 0.5  # of a cut's difference: less is left with another scale of the density
@@ -116,14 +113,11 @@ def _doubt(
         except PlanError:  # too fast to be traced
             return 1.0
 
-    def differences(factors: Iterable[float]) -> list[float]:
-        return run_on(smoke.ijk.device, [partial(difference, factor) for factor in factors])
-
-    given, rest = differences([1.0, 0.0])
+    given, rest = difference(1.0), difference(0.0)
     factors = {"against": -1.0, "at half the speed": 0.5, "at twice the speed": 2.0}
     if given >= DOUBTFUL or rest < HELPFUL * given:
         factors |= {"per frame": time_codes_per_second, "per second": 1 / time_codes_per_second}
-    found = dict(zip(factors, differences(factors.values()), strict=True))
+    found = {name: difference(factor) for name, factor in factors.items()}
     best = min(found, key=lambda name: found[name])
     least = min(rest, found[best])
     if not any(given > max(ratio * least, least + more) for ratio, more in TELLING):

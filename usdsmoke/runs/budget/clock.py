@@ -28,8 +28,8 @@ class TimedWindow(Protocol):
 
     @property
     def timings(self) -> Mapping[str, float]:
-        """Seconds of these for ``reading`` and ``writing``, which has those for ``hashing`` and
-        ``verifying`` files."""
+        """Seconds by part: ``reading``, and ``writing``, of which ``hashing`` and ``verifying`` are
+        parts."""
 
 
 class PartClock:
