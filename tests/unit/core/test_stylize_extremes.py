@@ -145,6 +145,18 @@ def test_stages_in_microns_and_in_megametres_have_the_same_bits(voxel):
     assert np.array_equal(scaled.emission.values * np.float32(voxel), plain.emission.values)
 
 
+@pytest.mark.parametrize("voxel", [1e-6, 1e6])
+def test_powers_of_ten_differ_by_round_off(voxel):
+    """It decides which voxels count as faint in a view, and iterations let it grow."""
+    matrix = np.diag([voxel, voxel, voxel, 1.0])
+    plain = run_core([frame_of(DENSITY)])[0]
+    scaled = run_core([frame_of(DENSITY, index_to_world=matrix)])[0]
+    moved = np.abs(scaled.density.values - plain.density.values)
+    assert moved.mean() < 1e-4 and moved.max() < 1e-2
+    off = np.abs(scaled.emission.values * voxel - plain.emission.values)
+    assert off.mean() < 1e-3 and off.max() < 0.1
+
+
 def test_smoke_a_million_units_from_the_origin():
     matrix = np.eye(4)
     matrix[3, :3] = [1e6, -1e6, 3e6]

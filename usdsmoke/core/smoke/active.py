@@ -109,7 +109,7 @@ def coarsen(smoke: ActiveSmoke, divisor: Tensor | None = None) -> ActiveSmoke:
     if len(smoke.ijk) == 0:
         return smoke
     divisor = divisor_of(smoke) if divisor is None else divisor
-    factor, shift = divisor.cpu().numpy(), divisor - 1
+    factor, shift = divisor.cpu().numpy(), divisor - 1  # a shift rounds down, also below 0
     low, high = (torch.as_tensor(end, device=shift.device) >> shift for end in smoke.box)
     shape = high - low + 1
     keys, inverse = _distinct(flat_key(smoke.ijk >> shift, low, shape), int(shape.prod()))
