@@ -6,6 +6,7 @@ pattern only rests; for two plumes that have nothing to do with each other 0.45 
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from usdsmoke.core.sequence.motion import estimate_velocity
 from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, densify, sample_colours
 from usdsmoke.core.smoke.levels import bounded, ranked
+from usdsmoke.core.smoke.memory import run_on
 
 UNLIKE = 0.4  # from this difference on the frames have nothing in common
 ALIKE = 0.5  # of a cut's difference: less is left with another scale of the density
@@ -26,6 +28,9 @@ LEAST = 0.005  # below this difference no other velocity is tried
 DOUBTFUL = 0.1  # from this one on velocities in other units are, which take many steps
 HELPFUL = 1.1  # so much better than without it: the velocity's unit is not doubted below
 MOST_TRACED = 2**12  # voxels of each frame that are looked at
+# Steps along other velocities. One in another unit takes hundreds, most often to places where there
+# is no smoke; smoke that does go with it moves fewer voxels.
+FEW_STEPS = 32
 # Than with another velocity: factors with the differences that tell. The second is for slow smoke,
 # which a wrong velocity leaves behind only in the course of a shot.
 TELLING = ((1.25, 0.02), (1.5, LEAST))
@@ -72,18 +77,19 @@ def judge_passage(
     """
     fine = bounded(before), bounded(smoke)
     before, smoke = map(coarsen, fine)
+    ways = _Ways(before, smoke, transit)
     try:
-        given = _difference(before, smoke, transit)
+        given = ways.difference(before, smoke)
     except PlanError as error:
         how = str(error).partition(";")[0]  # and by how many voxels
         cure = "Check its unit and for single wrong voxels, or set stage.motion=estimate."
         return Passage(1.0, f"{how}, too fast to be followed: the frame starts anew. {cure}", False)
-    if given >= UNLIKE and (remark := _other_scale(before, smoke, transit, given)):
+    if given >= UNLIKE and (remark := _other_scale(before, smoke, ways, given)):
         return Passage(given, "", remark=remark)
     if given < LEAST or transit.mover.velocity is None or transit.seconds == 0:
         return Passage(given, "")
-    doubt = _doubt(*_evened(before, smoke), transit, time_codes_per_second, unit)
-    return Passage(given, doubt or _doubt_nothing_moves(*_evened(*fine), transit))
+    doubt = _doubt(*_evened(before, smoke), ways, time_codes_per_second, unit)
+    return Passage(given, doubt or _doubt_nothing_moves(*_evened(*fine), ways))
 
 
 def _evened(before: ActiveSmoke, smoke: ActiveSmoke) -> tuple[ActiveSmoke, ActiveSmoke]:
@@ -99,17 +105,17 @@ def _evened(before: ActiveSmoke, smoke: ActiveSmoke) -> tuple[ActiveSmoke, Activ
 def _doubt(
     before: ActiveSmoke,
     smoke: ActiveSmoke,
-    transit: Transit,
+    ways: "_Ways",
     time_codes_per_second: float,
     unit: str,
 ) -> str:
     """What is wrong with the velocity, and what to do; "" if nothing is."""
-    if doubt := _doubt_rest(before, smoke, transit):
+    if doubt := _doubt_rest(before, smoke, ways):
         return doubt
 
-    def difference(factor: float) -> float:
+    def difference(times: float) -> float:
         try:
-            return _difference(before, smoke, replace(transit, seconds=factor * transit.seconds))
+            return ways.difference(before, smoke, times)
         except PlanError:  # too fast to be traced
             return 1.0
 
@@ -117,7 +123,8 @@ def _doubt(
     factors = {"against": -1.0, "at half the speed": 0.5, "at twice the speed": 2.0}
     if given >= DOUBTFUL or rest < HELPFUL * given:
         factors |= {"per frame": time_codes_per_second, "per second": 1 / time_codes_per_second}
-    found = {name: difference(factor) for name, factor in factors.items()}
+    tries = [partial(difference, factor) for factor in factors.values()]
+    found = dict(zip(factors, run_on(smoke.ijk.device, tries), strict=True))
     best = min(found, key=lambda name: found[name])
     least = min(rest, found[best])
     if not any(given > max(ratio * least, least + more) for ratio, more in TELLING):
@@ -134,11 +141,11 @@ def _doubt(
     return f"the densities do not move by the velocity: they agree better {cure}."
 
 
-def _other_scale(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit, given: float) -> str:
+def _other_scale(before: ActiveSmoke, smoke: ActiveSmoke, ways: "_Ways", given: float) -> str:
     """What to say of frames that differ by a factor of their density alone; "" of others."""
     times = float(smoke.density.double().sum() / before.density.double().sum())
     scaled = replace(before, density=before.density * times)
-    if not _difference(scaled, smoke, transit) < ALIKE * given:
+    if not ways.difference(scaled, smoke) < ALIKE * given:
         return ""
     return (
         f"; it agrees with {times:.2g} times that density. If its brightness should not blink, "
@@ -146,15 +153,13 @@ def _other_scale(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit, give
     )
 
 
-def _doubt_rest(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> str:
+def _doubt_rest(before: ActiveSmoke, smoke: ActiveSmoke, ways: "_Ways") -> str:
     """What is wrong where the velocity is 0 in a part of the smoke that does not rest; "" if none.
 
     So is a velocity grid that was pruned, or cut off, more than the smoke.
     """
-    some = _some(before)
-    resting = replace(transit, seconds=0.0).reverse.origins(some.positions)
-    moving = transit.reverse.origins(some.positions)
-    is_still, own = (resting == moving).all(1), some.density.double()
+    (_, resting), (_, moving) = ways.at(0.0), ways.at(1.0)
+    is_still, own = (resting == moving).all(1), _some(before).density.double()
     share = float(own[is_still].sum() / own.sum())
     if not STILL_SHARE < share < 1:  # 1: it is no velocity at all
         return ""
@@ -173,7 +178,7 @@ def _doubt_rest(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> st
     )
 
 
-def _doubt_nothing_moves(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> str:
+def _doubt_nothing_moves(before: ActiveSmoke, smoke: ActiveSmoke, ways: "_Ways") -> str:
     """What is wrong with a velocity that explains nothing while the smoke moves; "" if it rests.
 
     Another scale of the density is no motion, nor is smoke that comes, goes or diffuses: a motion
@@ -181,9 +186,9 @@ def _doubt_nothing_moves(before: ActiveSmoke, smoke: ActiveSmoke, transit: Trans
     """
     times = float(smoke.density.double().sum() / before.density.double().sum())
     before = replace(before, density=before.density * times)
-    coarse = coarsen(before), coarsen(smoke)
-    rest = _difference(*coarse, replace(transit, seconds=0.0))
-    if rest < ESTIMATED_MORE or _difference(*coarse, transit) < BARELY * rest:
+    coarse, transit = (coarsen(before), coarsen(smoke)), ways.transit
+    rest = ways.difference(*coarse, 0.0)
+    if rest < ESTIMATED_MORE or ways.difference(*coarse) < BARELY * rest:
         return ""
     # Both at rest in the earlier frame's Volume, which carries them further.
     undone = np.eye(4) if transit.ride is None else np.linalg.inv(transit.ride)
@@ -191,7 +196,7 @@ def _doubt_nothing_moves(before: ActiveSmoke, smoke: ActiveSmoke, transit: Trans
     try:
         found = estimate_velocity(later, earlier, -transit.seconds)
         mover = replace(transit.mover, velocity=found, velocity_to_stage=np.eye(4))
-        moved = _difference(*coarse, replace(transit, mover=mover))
+        moved = _Ways(*coarse, replace(transit, mover=mover)).difference(*coarse)
     except PlanError:  # the estimate ran away
         return ""
     if rest < max(ESTIMATED_TIMES * moved, moved + ESTIMATED_MORE):
@@ -215,17 +220,57 @@ def _as_frame(smoke: ActiveSmoke, to_stage: np.ndarray) -> VolumeFrame:
     return VolumeFrame(0.0, DenseField("density", values, first, smoke.index_to_stage), to_stage)
 
 
-def _difference(before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> float:
-    before_some, some = _some(before), _some(smoke)
-    carried = _density_at(before, transit.origins(some.positions))
-    arrived = _density_at(smoke, transit.reverse.origins(before_some.positions))
-    off = total = 0.0
-    pairs = ((some, carried, smoke), (before_some, arrived, before))
-    for chosen, other, whole in pairs:
-        own, share = chosen.density.double(), len(whole.ijk) / len(chosen.ijk)
-        off += share * float((own - other).abs().sum())
-        total += share * float((own + other).sum())
-    return off / total
+class _Ways:
+    """Where some voxels of two frames come from and go to, at the velocity and at others.
+
+    Args:
+        before, smoke: of both frames; their densities do not matter.
+        transit: from the frame before.
+    """
+
+    def __init__(self, before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> None:
+        self.transit, device = transit, smoke.ijk.device
+        self._places = _some(smoke).positions, _some(before).positions
+        self._tracers = transit.tracer(device), transit.reverse.tracer(device)
+        self._known: dict[float, tuple[Tensor, Tensor]] = {}
+
+    def at(self, times: float) -> tuple[Tensor, Tensor]:
+        """Origins of the later frame's voxels, and where those of the frame before go to.
+
+        Args:
+            times: of the velocity.
+
+        Raises:
+            PlanError: too fast to be traced.
+        """
+        if times not in self._known:
+            most = None if times == 1 else FEW_STEPS
+            origins, ends = (
+                tracer(places, times, most)
+                for tracer, places in zip(self._tracers, self._places, strict=True)
+            )
+            self._known[times] = origins, ends
+        return self._known[times]
+
+    def difference(self, before: ActiveSmoke, smoke: ActiveSmoke, times: float = 1.0) -> float:
+        """Of the densities of both frames, at ``times`` the velocity.
+
+        Args:
+            before, smoke: on the same voxels as those of the ways.
+            times: of the velocity.
+
+        Raises:
+            PlanError: too fast to be traced.
+        """
+        origins, ends = self.at(times)
+        off = total = 0.0
+        pairs = ((smoke, _density_at(before, origins)), (before, _density_at(smoke, ends)))
+        for whole, other in pairs:
+            own = _some(whole).density.double()
+            share = len(whole.ijk) / len(own)
+            off += share * float((own - other).abs().sum())
+            total += share * float((own + other).sum())
+        return off / total
 
 
 def _some(smoke: ActiveSmoke) -> ActiveSmoke:
