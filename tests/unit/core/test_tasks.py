@@ -2,13 +2,14 @@
 
 import os
 import threading
+import time
 from collections.abc import Iterator
 
 import pytest
 import torch
 
-from usdsmoke.core.smoke.memory import accumulate
-from usdsmoke.core.smoke.tasks import made_ahead, n_sharing, run_tasks, share_among
+from usdsmoke.core.smoke.memory import accumulate, accumulate_beside
+from usdsmoke.core.smoke.tasks import made_ahead, n_sharing, run_beside, run_tasks, share_among
 
 
 @pytest.fixture(autouse=True)
@@ -54,6 +55,62 @@ def test_an_error_in_a_task_is_raised_and_work_goes_on_afterwards(bad: int):
     with pytest.raises(ValueError, match="bad one"):
         run_tasks([lambda n=n: task(n) for n in range(8)])
     assert run_tasks([lambda: 1, lambda: 2, lambda: 3]) == [1, 2, 3]
+
+
+def test_work_beside_another_one_runs_at_once_and_both_come_back():
+    share_among(2)
+    together = threading.Barrier(2, timeout=30)
+
+    def work() -> int:
+        together.wait()  # passes only if both are here at once
+        return threading.get_ident()
+
+    first, second = run_beside(work, work)
+    assert first == threading.get_ident() != second
+
+
+def test_tasks_inside_the_first_of_two_are_shared_once_the_other_thread_is_free():
+    share_among(2)
+    is_done, together = threading.Event(), threading.Barrier(2, timeout=30)
+
+    def first() -> list[int]:
+        alone = run_tasks([threading.get_ident] * 3)  # the other thread is not waited for
+        is_done.set()
+        run_tasks([together.wait] * 2)
+        return alone
+
+    alone, _ = run_beside(first, lambda: is_done.wait(30) or pytest.fail("it waited"))
+    assert set(alone) == {threading.get_ident()}
+
+
+@pytest.mark.parametrize("bad", ["first", "second"])
+def test_an_error_beside_other_work_is_raised_after_it_has_ended(bad: str):
+    share_among(2)
+    ended, together = [], threading.Barrier(2, timeout=30)
+
+    def work(name: str) -> None:
+        together.wait()
+        if name == bad:
+            raise ValueError("the bad one")
+        time.sleep(0.05)
+        ended.append(name)
+
+    with pytest.raises(ValueError, match="bad one"):
+        run_beside(lambda: work("first"), lambda: work("second"))
+    assert ended == ["second" if bad == "first" else "first"]
+    assert run_beside(lambda: 1, lambda: 2) == (1, 2)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_gradients_of_two_terms_beside_each_other_are_their_sum(threads: int):
+    share_among(threads)
+    values = torch.linspace(-1, 1, 50, dtype=torch.float64, requires_grad=True)
+    terms = [lambda x, k=k: (x * k).sin().sum() for k in range(1, 4)]
+    total = accumulate_beside(values, lambda x: accumulate(x, terms[:2]), lambda x: 2 * terms[2](x))
+    (gradient,) = torch.autograd.grad(total, values)
+    x = values.detach()
+    exact = x.cos() + 2 * (2 * x).cos() + 6 * (3 * x).cos()
+    assert torch.allclose(gradient, exact, rtol=0, atol=1e-14)
 
 
 def test_gradients_of_shared_terms_are_those_of_one_thread():

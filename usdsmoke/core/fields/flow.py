@@ -11,10 +11,15 @@ not resolve: where the flow is sheared by several voxels from one voxel to the n
 (``folding.py``).
 """
 
+from functools import partial
+from typing import Any, cast
+
+import torch
 from torch import Tensor
 
 from usdsmoke.core.fields.sample import sample_linear, voxel_positions
 from usdsmoke.core.fields.sparse_map import Nodes
+from usdsmoke.core.smoke.memory import run_on
 
 DOUBLINGS = 2  # n
 
@@ -44,7 +49,35 @@ def flow_at(velocity: Tensor, active: Nodes, arrivals: Tensor) -> Tensor:
     """
     u = velocity / 2**DOUBLINGS
     for _ in range(DOUBLINGS):
-        # component by component, because that is how the look-up takes them
-        box = u.new_zeros(3, len(active.numbers)).index_copy(1, active.flat, u.T)
-        u = u + sample_linear(box.view(3, *active.shape).movedim(0, -1), arrivals - u)
+        box = cast(Tensor, _Filled.apply(u, active)).view(3, *active.shape)
+        u = u + sample_linear(box.movedim(0, -1), arrivals - u)
     return u
+
+
+class _Filled(torch.autograd.Function):
+    """A box [3 V] of values [N 3] at its active voxels, 0 elsewhere.
+
+    Component by component, because that is how look-ups take them; threads share these.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, active: Nodes) -> Tensor:
+        ctx.active = active
+        box = values.new_empty(3, len(active.numbers))
+
+        def fill(axis: int) -> None:
+            box[axis].zero_().index_copy_(0, active.flat, values[:, axis])
+
+        run_on(values.device, [partial(fill, axis) for axis in range(3)])
+        return box
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
+        flat = ctx.active.flat
+        rows = upstream.new_empty(3, len(flat))
+
+        def take(axis: int) -> None:
+            torch.index_select(upstream[axis], 0, flat, out=rows[axis])
+
+        run_on(upstream.device, [partial(take, axis) for axis in range(3)])
+        return rows.T, None

@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.smoke.tasks import run_tasks
+from usdsmoke.core.smoke.tasks import run_beside, run_tasks
 
 CHUNK_ROWS = 2**14  # voxels or sums in a chunk, unless a module has measured a better size
 SHARED_ROWS = 2**17  # sums that a thread does at once
@@ -17,6 +17,7 @@ GPU_CHUNK_FACTOR = 256  # times as many on a GPU, where every chunk costs time
 
 Item = TypeVar("Item")
 Term = Callable[[Tensor], Tensor]
+Run = Callable[[Sequence[Callable[[], Any]]], Sequence[Any]]
 
 
 def chunks(n: int, size: int, device: torch.device) -> Iterator[slice]:
@@ -145,7 +146,7 @@ class LazyList(Sequence[Item], Generic[Item]):
 
 class _Accumulate(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, shared: Tensor, terms: Iterable[Term]) -> Tensor:
+    def forward(ctx: Any, shared: Tensor, terms: Iterable[Term], run: Run) -> Tensor:
         needs_gradient = ctx.needs_input_grad[0]
 
         def evaluate(term: Term) -> tuple[Tensor, Tensor | None]:
@@ -158,7 +159,7 @@ class _Accumulate(torch.autograd.Function):
                 return value.detach(), found
 
         total, gradient = shared.new_zeros(()), None
-        for value, found in run_on(shared.device, [partial(evaluate, term) for term in terms]):
+        for value, found in run([partial(evaluate, term) for term in terms]):
             total = total + value
             if found is not None:
                 # not in place: a gradient may be one number, expanded
@@ -167,11 +168,11 @@ class _Accumulate(torch.autograd.Function):
         return total
 
     @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None, None]:
         (gradient,) = ctx.saved_tensors
         if upstream.device.type == "cpu" and float(upstream) == 1:
-            return gradient.contiguous(), None
-        return elementwise(lambda part: part * upstream, gradient), None
+            return gradient.contiguous(), None, None
+        return elementwise(lambda part: part * upstream, gradient), None, None
 
 
 def accumulate(shared: Tensor, terms: Iterable[Term]) -> Tensor:
@@ -186,4 +187,17 @@ def accumulate(shared: Tensor, terms: Iterable[Term]) -> Tensor:
 
     Gradients: through ``shared``; exact, of first order only.
     """
-    return cast(Tensor, _Accumulate.apply(shared, terms))
+    return cast(Tensor, _Accumulate.apply(shared, terms, partial(run_on, shared.device)))
+
+
+def accumulate_beside(shared: Tensor, first: Term, second: Term) -> Tensor:
+    """``accumulate`` of two functions, of which the first one's own work is shared as well.
+
+    For a picture's loss and a penalty: a thread computes the second one, and then takes part in
+    the first.
+    """
+
+    def run(tasks: Sequence[Callable[[], Item]]) -> Sequence[Item]:
+        return run_beside(*tasks) if shared.device.type == "cpu" else run_on(shared.device, tasks)
+
+    return cast(Tensor, _Accumulate.apply(shared, (first, second), run))

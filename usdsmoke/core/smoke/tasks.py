@@ -73,11 +73,7 @@ def run_tasks(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     if n_helpers < 1 or getattr(_here, "busy", False):
         return [task() for task in tasks]
     results: dict[int, Result] = {}
-    waiting, torch = iter(range(len(tasks))), _loaded_torch()
-    with_gradients = torch is not None and torch.is_grad_enabled()
-
-    def gradients_as_here() -> AbstractContextManager[Any]:
-        return nullcontext() if torch is None else torch.set_grad_enabled(with_gradients)
+    waiting, gradients_as_here = iter(range(len(tasks))), _gradients_as_here()
 
     def work() -> None:
         _here.busy = True
@@ -93,11 +89,50 @@ def run_tasks(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     try:
         work()
     finally:
-        errors = [other.exception() for other in others]  # waits
+        # waits for those that have begun; all tasks are taken, so the others are not needed
+        errors = [None if other.cancel() else other.exception() for other in others]
     for error in errors:
         if error is not None:
             raise error
     return [results[number] for number in range(len(tasks))]
+
+
+def run_beside(first: Callable[[], Result], second: Callable[[], Result]) -> tuple[Result, Result]:
+    """What both return, as ``run_tasks``, but tasks inside the first one are shared.
+
+    Another thread computes the second one, and then takes part in the first.
+
+    Raises:
+        Exception: that of the first one that failed.
+    """
+    if _n_threads < 2 or getattr(_here, "busy", False):
+        return first(), second()
+    gradients_as_here = _gradients_as_here()
+
+    def work() -> Result:
+        _here.busy = True
+        try:
+            with gradients_as_here():
+                return second()
+        finally:
+            _here.busy = False
+
+    other = _executor().submit(work)
+    try:
+        found = first()
+    finally:
+        is_left = other.cancel()
+        if not is_left:
+            other.exception()  # waits
+    return found, second() if is_left else other.result()
+
+
+def _gradients_as_here() -> Callable[[], AbstractContextManager[Any]]:
+    """Makes a context for another thread, in which gradients are enabled as they are here."""
+    torch = _loaded_torch()
+    return (
+        nullcontext if torch is None else partial(torch.set_grad_enabled, torch.is_grad_enabled())
+    )
 
 
 def run_slices(work: Callable[[slice], None], n: int, size: int) -> None:

@@ -7,6 +7,8 @@ single ones takes three times as long, and hardly brings pictures nearer to the 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -20,6 +22,7 @@ from usdsmoke.core.fields.pyramid import SparsePyramid
 from usdsmoke.core.fields.sparse_map import Nodes
 from usdsmoke.core.fields.transport import warp
 from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.steps.move import effect_on, moves_along, shares_on, smoke_box
 from usdsmoke.core.views.visibility import EffectMask
 
@@ -100,11 +103,19 @@ class Motion:
             self.moving |= grow(warp(density, flow(velocity), scheme="linear") > 0)
         self.reached = Reached.where((density > 0) | self.moving, density)
         nodes, active = Nodes.where(effect > 0), self.reached.nodes
-        self.pyramid = SparsePyramid(nodes, N_LEVELS, density)
-        self._moves = SparseDisplacement(active, nodes, effect, kind, lattice.spacing, n_channels)
-        self._folding = None
-        if density.numel() > 1:
-            self._folding = FoldingPenalty(Nodes.where(density > 0), active, density)
+
+        def folding() -> FoldingPenalty | None:
+            if density.numel() == 1:
+                return None
+            return FoldingPenalty(Nodes.where(density > 0), active, density)
+
+        def moves() -> SparseDisplacement:
+            return SparseDisplacement(active, nodes, effect, kind, lattice.spacing, n_channels)
+
+        parts: list[Callable[[], Any]] = [
+            partial(SparsePyramid, nodes, N_LEVELS, density), moves, folding,
+        ]  # fmt: skip
+        self.pyramid, self._moves, self._folding = run_on(density.device, parts)
         where = tuple(self.reached.ijk.T)
         self._base_there = None if base is None else base[where]
         self._share_there = None if share is None else share[where]
@@ -136,9 +147,9 @@ class Motion:
         clamped = clamp_displacement(unclamped, self.limit, self._share_there)
         return flow_at(clamped / self._sides, self.reached.nodes, self.reached.arrivals)
 
-    def folding(self, u: Tensor) -> Tensor | None:
-        """The penalty on a displacement that folds, [N 3]; None for a single block."""
-        return None if self._folding is None else self._folding(u)
+    def folding(self, u: Tensor) -> Tensor:
+        """The penalty on a displacement that folds, [N 3]; 0 for a single block."""
+        return u.new_zeros(()) if self._folding is None else self._folding(u)
 
     def departure(self, change: Tensor) -> Tensor:
         """Square of a change [N 3], mean over the smoke, in the change's unit squared."""

@@ -36,7 +36,7 @@ from usdsmoke.core.fields.pyramid import expand_levels
 from usdsmoke.core.fields.sample import sample_linear
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do
 from usdsmoke.core.smoke.levels import bounded
-from usdsmoke.core.smoke.memory import LazyList
+from usdsmoke.core.smoke.memory import LazyList, accumulate_beside
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.core.steps.motion import Motion, MotionBox, Start
 from usdsmoke.core.steps.move import fade_of, movable_blocks, smoke_box
@@ -108,16 +108,18 @@ class _Octave:
             loss = self._loss(picture, view.guide, view.content, iteration)
             return loss + self._keep * view.outside_change(grey) if self._keep else loss
 
+        def moved_loss(u: Tensor) -> Tensor:
+            # not ``warp``: it would check the density, which never changes, in every iteration
+            moved = sample_linear(self._density, self._arrivals - u)
+            gain = (moved.sum() / self._mass - 1) / LARGE_CHANGE
+            loss = self._pool.mean_loss(moved, iteration, view_loss)
+            return loss + self._weight * MASS_WEIGHT * softened(gain)
+
+        def folding(u: Tensor) -> Tensor:
+            return self._weight * self._folding * self.motion.folding(u)
+
         change = self.motion.change(potential)
-        u = self.motion.displacement(change)
-        # not ``warp``: it would check the density, which never changes, in every iteration
-        moved = sample_linear(self._density, self._arrivals - u)
-        loss = self._pool.mean_loss(moved, iteration, view_loss)
-        gain = (moved.sum() / self._mass - 1) / LARGE_CHANGE
-        loss = loss + self._weight * MASS_WEIGHT * softened(gain)
-        folding = self.motion.folding(u)
-        if folding is not None:
-            loss = loss + self._weight * self._folding * folding
+        loss = accumulate_beside(self.motion.displacement(change), moved_loss, folding)
         if self._steadiness:
             departure = self.motion.departure(change / self._pixel)
             loss = loss + self._weight * self._steadiness * departure
