@@ -114,7 +114,8 @@ def _run(
     problem = StepProblem(smoke, make_targets([style], scene, config, device), scene, config)
     if step == "colour":
         return run_colour_step(problem, iterations, start)
-    return run_shape_step(problem, iterations, None if start is None else start.on)
+    begun = None if start is None else lambda lattice, _: start.on(lattice)
+    return run_shape_step(problem, iterations, begun)
 
 
 def _judge(frame: VolumeFrame, style: np.ndarray, config: Config, step: str, found: Any) -> float:

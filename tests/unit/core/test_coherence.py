@@ -16,6 +16,7 @@ from usdsmoke.core.fields.lattice import surround
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.coherence import carry_displacement
 from usdsmoke.core.sequence.transit import Transit
+from usdsmoke.core.steps.motion import near_smoke
 
 
 class LargeTensors(TorchDispatchMode):
@@ -67,3 +68,22 @@ def test_a_carried_displacement_keeps_what_is_small() -> None:
     inside = (slice(8, -8),) * 3
     change = (back[inside] - before.values[inside]).norm() / before.values[inside].norm()
     assert change < 0.15
+
+
+def test_a_displacement_is_carried_to_the_smoke_and_three_voxels_around_it() -> None:
+    """What two voxels of drift bring; beyond, where there is no smoke, nothing is looked up."""
+    density = puff(12)
+    box = surround(smoke_of(density), 8)
+    speed = np.full((32, 32, 32, 3), 2.0 * 24, np.float32)
+    velocity = DenseField("v", speed, (-8, -8, -8), np.eye(4), (0.0, 0.0, 0.0))
+    frame = replace(frame_of(density), velocity=velocity, velocity_to_stage=np.eye(4))
+    before = Displacement(torch.rand(*box.shape, 3), box)
+    transit, there = Transit(frame, 1 / 24), box.fill(smoke_of(density)) > 0
+    near = near_smoke(there.float())
+    everywhere = carry_displacement(before, transit, box)
+    carried = carry_displacement(before, transit, box, near)
+    assert torch.equal(carried[near], everywhere[near]) and not carried[~near].any()
+    filled = torch.nonzero(there)
+    low, high = filled.amin(0) - 3, filled.amax(0) + 4
+    assert not near[: low[0]].any() and not near[high[0] :].any()
+    assert near[low[0]].any() and near[high[0] - 1].any()

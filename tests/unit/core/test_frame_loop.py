@@ -84,7 +84,8 @@ def test_a_carried_velocity_is_no_longer_than_it_counts():
     lengths = torch.linspace(0, 5, 216).view(6, 6, 6, 1)
     before = Displacement(lengths * torch.tensor([0.6, 0.0, 0.8]), lattice)
     still = Transit(frame_of(puff(6)), 1.0)
-    started = start_displacement(before, None, still, 2.0, lattice).norm(dim=-1)
+    near = torch.ones(lattice.shape, dtype=torch.bool)
+    started = start_displacement(before, None, still, 2.0, lattice, near).norm(dim=-1)
     assert torch.allclose(started, lengths[..., 0].clamp(max=2.0), atol=1e-5)
 
 

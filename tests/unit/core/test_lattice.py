@@ -96,6 +96,7 @@ def test_growing_adds_one_voxel_on_every_side_but_not_across_a_slab():
     assert grown.shape == mask.shape
     assert int(grown.sum()) == 9 + 4
     assert grown[1:4, 0, 2:5].all() and grown[:2, 0, :2].all()
+    assert torch.equal(grow(mask, 3), grow(grow(grown)))
 
 
 def field(background: float = 0.0) -> DenseField:
@@ -129,4 +130,10 @@ def test_a_function_of_places_is_taken_at_every_voxel_a_few_at_a_time(monkeypatc
     wanted = lattice.positions()
     assert found.shape == (*lattice.shape, 4) and found.dtype == torch.float64
     assert torch.equal(found[..., :3].reshape(-1, 3), wanted)
-    assert max(sizes) <= at_once and sum(sizes) == len(wanted)
+    assert max(sizes) <= at_once and sum(sizes) == len(wanted) + 1  # one tells the shape
+
+    where = torch.rand(lattice.shape) < 0.3
+    some = lattice.on_voxels(seen, torch.zeros(1), where)
+    assert torch.equal(some[where], found[where]) and not some[~where].any()
+    nowhere = lattice.on_voxels(seen, torch.zeros(1), where & ~where)
+    assert nowhere.shape == found.shape and not nowhere.any()

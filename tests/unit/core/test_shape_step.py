@@ -56,7 +56,7 @@ class Pictures:
         return value + slope - slope.detach()
 
 
-def drift(lattice: Lattice) -> Tensor:
+def drift(lattice: Lattice, _: Tensor) -> Tensor:
     """A displacement that the frame before has left."""
     return torch.tensor([0.4, -0.3, 0.2]).expand(*lattice.shape, 3)
 
@@ -142,9 +142,9 @@ def test_the_views_of_one_octave_are_held_while_it_is_optimised(iterations: list
     before, begun, optimised = len(octaves()), [], []
     latest: list[weakref.ref[Any]] = []
 
-    def start(lattice: Lattice) -> Tensor:
+    def start(lattice: Lattice, near: Tensor) -> Tensor:
         begun.append(len(octaves()) - before)
-        return drift(lattice)
+        return drift(lattice, near)
 
     def watch(octave: int, state: object) -> None:
         held = octaves()

@@ -74,29 +74,35 @@ class Lattice:
         low = torch.as_tensor(self.low, device=ijk.device)
         return (ijk + low).double() @ matrix[:3, :3] + matrix[3, :3]
 
-    def on_voxels(self, at: Callable[[Tensor], Tensor], like: Tensor) -> Tensor:
-        """The values of a function of position on all voxels of the box, [I J K ...], by chunks.
+    def on_voxels(
+        self, at: Callable[[Tensor], Tensor], like: Tensor, where: Tensor | None = None
+    ) -> Tensor:
+        """The values of a function of position on the voxels of the box, [I J K ...], by chunks.
 
         Args:
             at: stage positions [n 3] float64 -> [n ...]; called from several threads.
             like: gives the device of the positions.
+            where: [I J K] bool, voxels that it is evaluated on; the others are 0. None: all.
         """
         n_voxels = math.prod(self.shape)
+        chosen = None if where is None else torch.nonzero(where.reshape(-1)).squeeze(1)
 
-        def values_of(part: slice) -> Tensor:
-            flat = torch.arange(part.start, part.stop, device=like.device)
+        def values_of(flat: Tensor) -> Tensor:
             ij, k = flat // self.shape[2], flat % self.shape[2]
             return at(self.positions(torch.stack([ij // self.shape[1], ij % self.shape[1], k], -1)))
 
-        first, *others = chunks(n_voxels, LATTICE_CHUNK, like.device)  # a box has voxels
-        values = values_of(first)
-        found = values.new_empty((n_voxels, *values.shape[1:]))
-        found[first] = values
+        one = values_of(torch.zeros(1, dtype=torch.int64, device=like.device))
+        found = one.new_zeros((n_voxels, *one.shape[1:]))
 
         def put(part: slice) -> None:
-            found[part] = values_of(part)
+            if chosen is not None:
+                found[chosen[part]] = values_of(chosen[part])
+            else:
+                found[part] = values_of(torch.arange(part.start, part.stop, device=like.device))
 
-        run_on(like.device, [partial(put, part) for part in others])
+        n_chosen = n_voxels if chosen is None else len(chosen)
+        parts = chunks(n_chosen, LATTICE_CHUNK, like.device)
+        run_on(like.device, [partial(put, part) for part in parts])
         return found.view(*self.shape, *found.shape[1:])
 
     def to_stage(self, vectors: Tensor) -> Tensor:
@@ -159,10 +165,13 @@ def _edges_text(smoke: ActiveSmoke) -> str:
     return " x ".join(f"{edge:.3g}" for edge in np.linalg.norm(smoke.edges, axis=1))
 
 
-def grow(mask: Tensor) -> Tensor:
-    """A mask [I J K] of a box, grown by one voxel along every axis, corners included."""
-    sizes = [3 if n > 1 else 1 for n in mask.shape]
-    grown = F.max_pool3d(mask.float()[None, None], sizes, stride=1, padding=[n // 2 for n in sizes])
+def grow(mask: Tensor, by: int = 1) -> Tensor:
+    """A mask [I J K] of a box, grown by some voxels along every axis, corners included."""
+    grown = mask.float()[None, None]
+    for axis in range(3):
+        padding = [by if other == axis else 0 for other in range(3)]
+        sizes = [2 * n + 1 for n in padding]
+        grown = F.max_pool3d(grown, sizes, stride=1, padding=padding)
     return grown[0, 0] > 0
 
 

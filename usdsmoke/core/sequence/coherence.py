@@ -21,20 +21,24 @@ FILL_LEVELS = 4  # halvings over which new smoke takes its neighbours' colour
 NEAR = 1e-3  # trilinear weight of smoke from which there is smoke
 
 
-def carry_displacement(before: Displacement, transit: Transit, lattice: Lattice) -> Tensor:
+def carry_displacement(
+    before: Displacement, transit: Transit, lattice: Lattice, near: Tensor | None = None
+) -> Tensor:
     """A neighbouring frame's displacement on this frame's box, [I J K 3], along its axes.
 
     Args:
         before: the neighbour's.
         transit: from the neighbour to this frame.
         lattice: of this frame.
+        near: [I J K] bool, voxels that it is carried to, see ``steps.motion.near_smoke``; the
+            others have none. None: all.
     """
     trace, look_up = transit.tracer(before.values.device), before.smoothly()
 
     def at(places: Tensor) -> Tensor:
         return lattice.from_stage(transit.turn(look_up(trace(places))))
 
-    return lattice.on_voxels(at, before.values)
+    return lattice.on_voxels(at, before.values, near)
 
 
 def carry_colours(
@@ -82,7 +86,7 @@ def fill_colours(
 
 
 def average_displacement(
-    own: Displacement, later: Displacement, transit: Transit, share: float
+    own: Displacement, later: Displacement, transit: Transit, share: float, near: Tensor
 ) -> Displacement:
     """A frame's displacement, averaged with the following frame's carried back to it.
 
@@ -90,8 +94,9 @@ def average_displacement(
         own, later: of the frame and of the one that follows.
         transit: from the frame to the later one.
         share: of the later frame, in [0, 1].
+        near: see ``carry_displacement``.
     """
-    carried = own.lattice.to_stage(carry_displacement(later, transit.reverse, own.lattice))
+    carried = own.lattice.to_stage(carry_displacement(later, transit.reverse, own.lattice, near))
     return Displacement(torch.lerp(own.values, carried, share), own.lattice)
 
 

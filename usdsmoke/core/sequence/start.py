@@ -66,6 +66,7 @@ def start_displacement(
     transit: Transit | None,
     limit: float,
     lattice: Lattice,
+    near: Tensor,
 ) -> Tensor:
     """The velocity to start from, [I J K 3] along the lattice's axes, stage units.
 
@@ -78,13 +79,14 @@ def start_displacement(
         transit: from the neighbour to this frame; None without one.
         limit: of a displacement's length, stage units.
         lattice: of this frame, at any octave.
+        near: [I J K] bool, see ``carry_displacement``.
     """
     shared = coarse.displacement if coarse is not None else None
     if before is None or transit is None:
         if shared is None:
             return torch.zeros(*lattice.shape, 3)
         return shared.on(lattice)
-    carried = carry_displacement(before, transit, lattice)
+    carried = carry_displacement(before, transit, lattice, near)
     carried *= limit / carried.norm(dim=-1, keepdim=True).clamp_min(limit)
     if shared is None:
         return carried

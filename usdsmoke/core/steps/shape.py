@@ -38,7 +38,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList, accumulate_beside
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
-from usdsmoke.core.steps.motion import Motion, MotionBox, Start
+from usdsmoke.core.steps.motion import Motion, MotionBox, Start, near_smoke
 from usdsmoke.core.steps.move import fade_of, movable_blocks, smoke_box
 from usdsmoke.core.steps.optimize import Descent, Minimum, minimize
 from usdsmoke.core.steps.pictures import GreyView, ViewPool, grey_view
@@ -141,8 +141,7 @@ def run_shape_step(
     Args:
         problem: the smoke at full resolution; the mask scales the displacement in space.
         iterations: per octave, coarse to fine; an octave with 0 is skipped.
-        start: lattice -> velocity [I J K 3] along its axes, stage units per unit of time, to start
-            from; None starts from rest.
+        start: what to start from, see ``MotionBox.of``; None starts from rest.
         watch: called with the octave and the optimiser's state after every iteration.
         rate_share: share of the learning rate, in (0, 1].
         steadiness: weight of the change against the start, in pixels, squared, mean over the
@@ -185,17 +184,20 @@ def run_shape_step(
     if box is None:
         box = MotionBox.of(blocks, problem.mask, fade, start)
     values = _potential_on(box.lattice, potential, n_channels, box.density)
-    return _velocity(box, values, kind, smoke_box(blocks, fade), start), ends
+    lattice = smoke_box(blocks, fade)
+    base = box.base
+    if start is not None and box.lattice.spacing != lattice.spacing:
+        base = start(lattice, near_smoke(lattice.fill(blocks)))
+    return _velocity(box, values, kind, lattice, base), ends
 
 
 def _velocity(
-    box: MotionBox, potential: Tensor, kind: str, lattice: Lattice, start: Start | None
+    box: MotionBox, potential: Tensor, kind: str, lattice: Lattice, base: Tensor | None
 ) -> Displacement:
-    """What a potential [I J K C] on the last octave's box adds to the start, on a finer lattice."""
-    change, base = box.change(potential, kind), box.base
+    """What a potential [I J K C] on the last octave's box adds to a base, on a finer lattice."""
+    change = box.change(potential, kind)
     if box.lattice.spacing != lattice.spacing:
         change = Displacement(box.lattice.to_stage(change), box.lattice).on(lattice)
-        base = None if start is None else start(lattice)
     found = change if base is None else change + base
     return Displacement(lattice.to_stage(found), lattice)
 
