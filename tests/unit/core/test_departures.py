@@ -74,6 +74,47 @@ def test_velocity_is_read_in_its_own_grid_and_world():
     assert np.abs(found.numpy() - stage.numpy()).max() > 0.3
 
 
+def swirl(low: int) -> VolumeFrame:
+    """A rigid turn around z in a box of 16 voxels, of which the first has the index ``low``."""
+    i, j, _ = np.meshgrid(*[np.arange(16.0) - 7.5] * 3, indexing="ij")
+    values = np.stack([-j, i, 0 * i], axis=-1).astype(np.float32)
+    velocity = DenseField("velocity", values, (low,) * 3, np.eye(4))
+    return VolumeFrame(1.0, frame_of(DENSITY).density, np.eye(4), velocity, np.eye(4))
+
+
+@pytest.mark.parametrize("low", [0, 10**6], ids=["near the origin", "far away"])
+def test_what_is_looked_up_in_single_precision_is_as_precise_anywhere(low: int):
+    """Places are not rounded: a turn there and back ends where it began, also far away."""
+    places = low + 4 + 8 * torch.rand(50, 3, generator=torch.manual_seed(0)).double()
+    transit = Transit(swirl(low), 1e-3)
+    back = transit.reverse.origins(transit.origins(places))
+    assert (back - places).abs().max() < 3e-9
+    middle = low + 7.5
+    turned = transit.origins(places) - middle
+    x, y, z = (places - middle).T
+    angle = torch.tensor(1e-3, dtype=torch.float64)
+    wanted = torch.stack(
+        [x * angle.cos() + y * angle.sin(), y * angle.cos() - x * angle.sin(), z], dim=1
+    )
+    assert (turned - wanted).abs().max() < 3e-9
+
+
+def test_a_tracer_follows_shares_of_the_velocity_in_few_steps_if_it_is_told():
+    frame = frame_of(np.pad(DENSITY, 3), velocity=np.array([48.0, 0.0, -24.0]), ijk_min=(-3,) * 3)
+    places = smoke_of(DENSITY).positions
+    trace = Transit(frame, 1 / 24).tracer(places.device)
+    step = torch.tensor([2.0, 0.0, -1.0], dtype=torch.float64)
+    assert torch.allclose(trace(places, 1.5), places - 1.5 * step)
+    assert torch.allclose(trace(places, -1.0), places + step)
+    assert torch.equal(trace(places, 0.0), places)
+
+    turn = Transit(swirl(0), 1.0).tracer(places.device)  # by a radian, 7.5 voxels at the corner
+    place = torch.full((1, 3), 11.0, dtype=torch.float64)
+    exact = turn(place)
+    assert (turn(place, 1.0, 100) - exact).abs().max() == 0
+    assert 0.1 < (turn(place, 1.0, 1) - exact).norm() < 2.0
+
+
 def test_an_empty_velocity_grid_moves_nothing():
     field = DenseField("velocity", np.zeros((0, 0, 0, 3), np.float32), (0, 0, 0), np.eye(4))
     frame = VolumeFrame(1.0, frame_of(DENSITY).density, np.eye(4), field, np.eye(4))

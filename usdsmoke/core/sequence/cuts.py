@@ -77,19 +77,19 @@ def judge_passage(
     """
     fine = bounded(before), bounded(smoke)
     before, smoke = map(coarsen, fine)
-    ways = _Ways(before, smoke, transit)
+    traced = _Traced(before, smoke, transit)
     try:
-        given = ways.difference(before, smoke)
+        given = traced.difference(before, smoke)
     except PlanError as error:
         how = str(error).partition(";")[0]  # and by how many voxels
         cure = "Check its unit and for single wrong voxels, or set stage.motion=estimate."
         return Passage(1.0, f"{how}, too fast to be followed: the frame starts anew. {cure}", False)
-    if given >= UNLIKE and (remark := _other_scale(before, smoke, ways, given)):
+    if given >= UNLIKE and (remark := _other_scale(before, smoke, traced, given)):
         return Passage(given, "", remark=remark)
     if given < LEAST or transit.mover.velocity is None or transit.seconds == 0:
         return Passage(given, "")
-    doubt = _doubt(*_evened(before, smoke), ways, time_codes_per_second, unit)
-    return Passage(given, doubt or _doubt_nothing_moves(*_evened(*fine), ways))
+    doubt = _doubt(*_evened(before, smoke), traced, time_codes_per_second, unit)
+    return Passage(given, doubt or _doubt_nothing_moves(*_evened(*fine), traced))
 
 
 def _evened(before: ActiveSmoke, smoke: ActiveSmoke) -> tuple[ActiveSmoke, ActiveSmoke]:
@@ -105,17 +105,17 @@ def _evened(before: ActiveSmoke, smoke: ActiveSmoke) -> tuple[ActiveSmoke, Activ
 def _doubt(
     before: ActiveSmoke,
     smoke: ActiveSmoke,
-    ways: "_Ways",
+    traced: "_Traced",
     time_codes_per_second: float,
     unit: str,
 ) -> str:
     """What is wrong with the velocity, and what to do; "" if nothing is."""
-    if doubt := _doubt_rest(before, smoke, ways):
+    if doubt := _doubt_rest(before, smoke, traced):
         return doubt
 
     def difference(times: float) -> float:
         try:
-            return ways.difference(before, smoke, times)
+            return traced.difference(before, smoke, times)
         except PlanError:  # too fast to be traced
             return 1.0
 
@@ -141,11 +141,11 @@ def _doubt(
     return f"the densities do not move by the velocity: they agree better {cure}."
 
 
-def _other_scale(before: ActiveSmoke, smoke: ActiveSmoke, ways: "_Ways", given: float) -> str:
+def _other_scale(before: ActiveSmoke, smoke: ActiveSmoke, traced: "_Traced", given: float) -> str:
     """What to say of frames that differ by a factor of their density alone; "" of others."""
     times = float(smoke.density.double().sum() / before.density.double().sum())
     scaled = replace(before, density=before.density * times)
-    if not ways.difference(scaled, smoke) < ALIKE * given:
+    if not traced.difference(scaled, smoke) < ALIKE * given:
         return ""
     return (
         f"; it agrees with {times:.2g} times that density. If its brightness should not blink, "
@@ -153,12 +153,12 @@ def _other_scale(before: ActiveSmoke, smoke: ActiveSmoke, ways: "_Ways", given: 
     )
 
 
-def _doubt_rest(before: ActiveSmoke, smoke: ActiveSmoke, ways: "_Ways") -> str:
+def _doubt_rest(before: ActiveSmoke, smoke: ActiveSmoke, traced: "_Traced") -> str:
     """What is wrong where the velocity is 0 in a part of the smoke that does not rest; "" if none.
 
     So is a velocity grid that was pruned, or cut off, more than the smoke.
     """
-    (_, resting), (_, moving) = ways.at(0.0), ways.at(1.0)
+    (_, resting), (_, moving) = traced.at(0.0), traced.at(1.0)
     is_still, own = (resting == moving).all(1), _some(before).density.double()
     share = float(own[is_still].sum() / own.sum())
     if not STILL_SHARE < share < 1:  # 1: it is no velocity at all
@@ -178,7 +178,7 @@ def _doubt_rest(before: ActiveSmoke, smoke: ActiveSmoke, ways: "_Ways") -> str:
     )
 
 
-def _doubt_nothing_moves(before: ActiveSmoke, smoke: ActiveSmoke, ways: "_Ways") -> str:
+def _doubt_nothing_moves(before: ActiveSmoke, smoke: ActiveSmoke, traced: "_Traced") -> str:
     """What is wrong with a velocity that explains nothing while the smoke moves; "" if it rests.
 
     Another scale of the density is no motion, nor is smoke that comes, goes or diffuses: a motion
@@ -186,9 +186,9 @@ def _doubt_nothing_moves(before: ActiveSmoke, smoke: ActiveSmoke, ways: "_Ways")
     """
     times = float(smoke.density.double().sum() / before.density.double().sum())
     before = replace(before, density=before.density * times)
-    coarse, transit = (coarsen(before), coarsen(smoke)), ways.transit
-    rest = ways.difference(*coarse, 0.0)
-    if rest < ESTIMATED_MORE or ways.difference(*coarse) < BARELY * rest:
+    coarse, transit = (coarsen(before), coarsen(smoke)), traced.transit
+    rest = traced.difference(*coarse, 0.0)
+    if rest < ESTIMATED_MORE or traced.difference(*coarse) < BARELY * rest:
         return ""
     # Both at rest in the earlier frame's Volume, which carries them further.
     undone = np.eye(4) if transit.ride is None else np.linalg.inv(transit.ride)
@@ -196,7 +196,7 @@ def _doubt_nothing_moves(before: ActiveSmoke, smoke: ActiveSmoke, ways: "_Ways")
     try:
         found = estimate_velocity(later, earlier, -transit.seconds)
         mover = replace(transit.mover, velocity=found, velocity_to_stage=np.eye(4))
-        moved = _Ways(*coarse, replace(transit, mover=mover)).difference(*coarse)
+        moved = _Traced(*coarse, replace(transit, mover=mover)).difference(*coarse)
     except PlanError:  # the estimate ran away
         return ""
     if rest < max(ESTIMATED_TIMES * moved, moved + ESTIMATED_MORE):
@@ -220,7 +220,7 @@ def _as_frame(smoke: ActiveSmoke, to_stage: np.ndarray) -> VolumeFrame:
     return VolumeFrame(0.0, DenseField("density", values, first, smoke.index_to_stage), to_stage)
 
 
-class _Ways:
+class _Traced:
     """Where some voxels of two frames come from and go to, at the velocity and at others.
 
     Args:
@@ -256,7 +256,7 @@ class _Ways:
         """Of the densities of both frames, at ``times`` the velocity.
 
         Args:
-            before, smoke: on the same voxels as those of the ways.
+            before, smoke: on the voxels that were traced.
             times: of the velocity.
 
         Raises:
