@@ -18,6 +18,7 @@ one step as after eight, what drifts, the longer the more.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -26,6 +27,7 @@ from usdsmoke.core.sequence.coherence import NEAR
 from usdsmoke.core.sequence.transit import Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, sample_colours
 from usdsmoke.core.smoke.levels import bounded
+from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.smoke.noise import white_noise
 
 LAGS = (1, 4, 8)  # frames
@@ -99,7 +101,8 @@ class Steadiness:
         else:
             trace = transit.reverse.tracer(smoke.ijk.device)
             turn = transit.turn if self._is_vector else None
-            self.clouds = tuple(_carried(clouds, trace, turn) for clouds in self.clouds)
+            carried = [partial(_carried, clouds, trace, turn) for clouds in self.clouds]
+            self.clouds = tuple(run_on(smoke.ijk.device, carried))
         found = {}
         for clouds in self.clouds:
             if clouds.age in LAGS and (error := _error(clouds, smoke, values)) is not None:

@@ -9,7 +9,9 @@ from torch import Tensor
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields.sample import sample_linear, share_of_flat
 from usdsmoke.core.fields.transport import backtrace, check_finite, choose_substeps
-from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks
+from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks, share_rows
+
+TRACED_AT_ONCE = 2**15  # points; half as many take longer each
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ class Tracer:
     def __call__(
         self, positions: Tensor, times: float = 1.0, most_steps: int | None = None
     ) -> Tensor:
-        """Where the smoke at points comes from, [N 3] float64.
+        """Where the smoke at points comes from, [N 3] float64; threads share the points.
 
         Mid-point steps, as many as a CFL number of 1 needs. Places are in double precision, the
         velocity between them is looked up in single precision.
@@ -120,6 +122,17 @@ class Tracer:
         Raises:
             PlanError: the velocity is too fast for its unit to be right.
         """
+        if self._ride is None and self._rates is None:
+            return positions
+        found = torch.empty_like(positions)
+
+        def follow(part: slice) -> None:
+            found[part] = self._follow(positions[part], times, most_steps)
+
+        share_rows(follow, len(positions), TRACED_AT_ONCE, positions.device)
+        return found
+
+    def _follow(self, positions: Tensor, times: float, most_steps: int | None) -> Tensor:
         if self._ride is None:
             return self._flow(positions, times, most_steps)
         matrix, offset = self._ride[:3, :3], self._ride[3, :3]
