@@ -14,9 +14,10 @@ from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields import lattice as lattice_module
 from usdsmoke.core.fields.lattice import surround
 from usdsmoke.core.fields.potential import Displacement
-from usdsmoke.core.sequence.coherence import carry_displacement
+from usdsmoke.core.sequence.coherence import average_displacement, carry_displacement
+from usdsmoke.core.sequence.start import start_displacement
 from usdsmoke.core.sequence.transit import Transit
-from usdsmoke.core.steps.motion import near_smoke
+from usdsmoke.core.steps.move import effect_on, fade_of, near_smoke, smoke_box
 
 
 class LargeTensors(TorchDispatchMode):
@@ -70,20 +71,41 @@ def test_a_carried_displacement_keeps_what_is_small() -> None:
     assert change < 0.15
 
 
-def test_a_displacement_is_carried_to_the_smoke_and_three_voxels_around_it() -> None:
+def test_a_displacement_is_carried_to_where_smoke_can_be_moved() -> None:
     """What two voxels of drift bring; beyond, where there is no smoke, nothing is looked up."""
     density = puff(12)
     box = surround(smoke_of(density), 8)
     speed = np.full((32, 32, 32, 3), 2.0 * 24, np.float32)
     velocity = DenseField("v", speed, (-8, -8, -8), np.eye(4), (0.0, 0.0, 0.0))
     frame = replace(frame_of(density), velocity=velocity, velocity_to_stage=np.eye(4))
-    before = Displacement(torch.rand(*box.shape, 3), box)
-    transit, there = Transit(frame, 1 / 24), box.fill(smoke_of(density)) > 0
-    near = near_smoke(there.float())
+    before = Displacement(0.01 * torch.rand(*box.shape, 3), box)
+    transit, there = Transit(frame, 1 / 24), box.fill(smoke_of(density))
+    near = near_smoke(there, box, 1.0)
     everywhere = carry_displacement(before, transit, box)
-    carried = carry_displacement(before, transit, box, near)
+    carried = start_displacement(before, None, transit, 1e6, box, near)
     assert torch.equal(carried[near], everywhere[near]) and not carried[~near].any()
+    own = Displacement(torch.zeros_like(before.values), box)
+    averaged = average_displacement(own, before, transit.reverse, 1.0, near).values
+    assert torch.equal(averaged, carried)
     filled = torch.nonzero(there)
-    low, high = filled.amin(0) - 3, filled.amax(0) + 4
+    low, high = filled.amin(0) - 3, filled.amax(0) + 4  # a fade of 1.2 voxels, and one for slopes
     assert not near[: low[0]].any() and not near[high[0] :].any()
     assert near[low[0]].any() and near[high[0] - 1].any()
+
+
+@pytest.mark.parametrize(
+    ("shape", "beyond"),
+    [((12, 12, 12), False), ((120, 120, 2), True), ((90, 3, 3), False), ((40, 1, 40), False)],
+    ids=["a cube", "a sheet", "a filament", "a slab"],
+)
+def test_smoke_can_be_moved_wherever_the_effect_is_not_0(
+    shape: tuple[int, int, int], beyond: bool
+) -> None:
+    """The effect around a thin sheet reaches further the wider it is."""
+    smoke = smoke_of(np.ones(shape, np.float32))
+    fade = fade_of(smoke)
+    lattice = smoke_box(smoke, fade)
+    density = lattice.fill(smoke)
+    effect = effect_on(density, lattice, fade, None)
+    assert not (effect > 0)[~near_smoke(density, lattice, fade)].any()
+    assert bool((effect[density == 0] > 0).any()) == beyond

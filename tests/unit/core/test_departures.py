@@ -115,6 +115,30 @@ def test_a_tracer_follows_shares_of_the_velocity_in_few_steps_if_it_is_told():
     assert 0.1 < (turn(place, 1.0, 1) - exact).norm() < 2.0
 
 
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_share_of_the_velocity_rides_on_all_of_the_volumes_motion(backwards: bool):
+    ride = np.eye(4)
+    ride[3, :3] = [0.0, 5.0, 0.0]
+    frame = frame_of(np.pad(DENSITY, 3), velocity=np.array([48.0, 0.0, -24.0]), ijk_min=(-3,) * 3)
+    places = smoke_of(DENSITY).positions
+    trace = Transit(frame, 1 / 24, ride, backwards).tracer(places.device)
+    way = torch.tensor([2.0 * 0.5, 5.0, -1.0 * 0.5], dtype=torch.float64)
+    assert torch.allclose(trace(places, 0.5), places + way * (1 if backwards else -1))
+
+
+@pytest.mark.parametrize("value", [1e9, 1e37])
+def test_a_single_wild_voxel_is_too_fast_however_many_points_are_asked_for(value: float):
+    """Beyond the range of single precision per second, too, where voxels are small."""
+    speed = np.zeros((8, 8, 8, 3), np.float32)
+    speed[4, 4, 4] = value
+    small = np.diag([0.01, 0.01, 0.01, 1.0])
+    velocity = DenseField("velocity", speed, (0, 0, 0), small)
+    frame = VolumeFrame(1.0, frame_of(DENSITY).density, np.eye(4), velocity, np.eye(4))
+    for n_points in (0, 10, 100_000):
+        with pytest.raises(PlanError, match="velocity's unit"):
+            Transit(frame, 1 / 24).origins(torch.zeros(n_points, 3, dtype=torch.float64))
+
+
 def test_an_empty_velocity_grid_moves_nothing():
     field = DenseField("velocity", np.zeros((0, 0, 0, 3), np.float32), (0, 0, 0), np.eye(4))
     frame = VolumeFrame(1.0, frame_of(DENSITY).density, np.eye(4), field, np.eye(4))

@@ -96,7 +96,7 @@ def test_growing_adds_one_voxel_on_every_side_but_not_across_a_slab():
     assert grown.shape == mask.shape
     assert int(grown.sum()) == 9 + 4
     assert grown[1:4, 0, 2:5].all() and grown[:2, 0, :2].all()
-    assert torch.equal(grow(mask, 3), grow(grow(grown)))
+    assert torch.equal(grow(mask, (3, 3, 3)), grow(grow(grown)))
 
 
 def field(background: float = 0.0) -> DenseField:

@@ -69,6 +69,56 @@ def test_work_beside_another_one_runs_at_once_and_both_come_back():
     assert first == threading.get_ident() != second
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_work_beside_another_one_has_gradients_as_its_caller_has(threads: int):
+    share_among(threads)
+    with torch.no_grad():
+        assert run_beside(torch.is_grad_enabled, torch.is_grad_enabled) == (False, False)
+    assert run_beside(torch.is_grad_enabled, torch.is_grad_enabled) == (True, True)
+
+
+def test_tasks_inside_the_second_of_two_stay_in_its_thread():
+    share_among(3)
+    begun = threading.Event()
+
+    def second() -> set[int]:
+        begun.set()
+        return {*run_tasks([threading.get_ident] * 5), threading.get_ident()}
+
+    _, threads = run_beside(lambda: begun.wait(30), second)
+    assert len(threads) == 1
+
+
+def test_work_beside_another_one_inside_a_task_stays_in_its_thread():
+    share_among(3)
+
+    def outer() -> bool:
+        return run_beside(threading.get_ident, threading.get_ident) == (threading.get_ident(),) * 2
+
+    assert all(run_tasks([outer, outer]))
+
+
+def test_two_terms_beside_each_other_are_computed_at_once():
+    share_among(2)
+    together = threading.Barrier(2, timeout=30)
+
+    def outer(x: torch.Tensor) -> torch.Tensor:
+        together.wait()
+        return accumulate(x, [lambda x: inner(x, 0), lambda x: inner(x, 1)])
+
+    def inner(x: torch.Tensor, number: int) -> torch.Tensor:
+        shared.wait()  # both threads share the first term's own terms
+        return x.sum()
+
+    def other(x: torch.Tensor) -> torch.Tensor:
+        together.wait()
+        return x.square().sum()
+
+    shared = threading.Barrier(2, timeout=30)
+    values = torch.ones(4, requires_grad=True)
+    assert accumulate_beside(values, outer, other).item() == 12
+
+
 def test_tasks_inside_the_first_of_two_are_shared_once_the_other_thread_is_free():
     share_among(2)
     is_done, together = threading.Event(), threading.Barrier(2, timeout=30)

@@ -16,6 +16,7 @@ from typing import Any, cast
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from usdsmoke.core.fields.sample import sample_linear, voxel_positions
 from usdsmoke.core.fields.sparse_map import Nodes
@@ -58,6 +59,8 @@ class _Filled(torch.autograd.Function):
     """A box [3 V] of values [N 3] at its active voxels, 0 elsewhere.
 
     Component by component, because that is how look-ups take them; threads share these.
+
+    Gradients: through ``values``, once.
     """
 
     @staticmethod
@@ -72,6 +75,7 @@ class _Filled(torch.autograd.Function):
         return box
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
         flat = ctx.active.flat
         rows = upstream.new_empty(3, len(flat))

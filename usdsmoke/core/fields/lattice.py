@@ -80,9 +80,10 @@ class Lattice:
         """The values of a function of position on the voxels of the box, [I J K ...], by chunks.
 
         Args:
-            at: stage positions [n 3] float64 -> [n ...]; called from several threads.
+            at: stage positions [n 3] float64 -> [n ...]; called from several threads, and once
+                more for the first voxel, whose value tells the shape.
             like: gives the device of the positions.
-            where: [I J K] bool, voxels that it is evaluated on; the others are 0. None: all.
+            where: [I J K] bool, voxels that get a value; the others are 0. None: all.
         """
         n_voxels = math.prod(self.shape)
         chosen = None if where is None else torch.nonzero(where.reshape(-1)).squeeze(1)
@@ -165,11 +166,11 @@ def _edges_text(smoke: ActiveSmoke) -> str:
     return " x ".join(f"{edge:.3g}" for edge in np.linalg.norm(smoke.edges, axis=1))
 
 
-def grow(mask: Tensor, by: int = 1) -> Tensor:
-    """A mask [I J K] of a box, grown by some voxels along every axis, corners included."""
+def grow(mask: Tensor, by: Sequence[int] = (1, 1, 1)) -> Tensor:
+    """A mask [I J K] of a box, grown by some voxels along each axis, corners included."""
     grown = mask.float()[None, None]
     for axis in range(3):
-        padding = [by if other == axis else 0 for other in range(3)]
+        padding = [by[axis] if other == axis else 0 for other in range(3)]
         sizes = [2 * n + 1 for n in padding]
         grown = F.max_pool3d(grown, sizes, stride=1, padding=padding)
     return grown[0, 0] > 0

@@ -30,8 +30,8 @@ def carry_displacement(
         before: the neighbour's.
         transit: from the neighbour to this frame.
         lattice: of this frame.
-        near: [I J K] bool, voxels that it is carried to, see ``steps.motion.near_smoke``; the
-            others have none. None: all.
+        near: [I J K] bool, voxels that it is carried to, see ``steps.move.near_smoke``; the others
+            have none. None: all.
     """
     trace, look_up = transit.tracer(before.values.device), before.smoothly()
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from usdsmoke.base.errors import PlanError
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.motion import estimate_velocity
-from usdsmoke.core.sequence.transit import Transit
+from usdsmoke.core.sequence.transit import Flow, Tracer, Transit
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, densify, sample_colours
 from usdsmoke.core.smoke.levels import bounded, ranked
 from usdsmoke.core.smoke.memory import run_on
@@ -28,8 +28,8 @@ LEAST = 0.005  # below this difference no other velocity is tried
 DOUBTFUL = 0.1  # from this one on velocities in other units are, which take many steps
 HELPFUL = 1.1  # so much better than without it: the velocity's unit is not doubted below
 MOST_TRACED = 2**12  # voxels of each frame that are looked at
-# Steps along other velocities. One in another unit takes hundreds, most often to places where there
-# is no smoke; smoke that does go with it moves fewer voxels.
+# Steps at other speeds than the velocity's own, at most. In another unit it would take hundreds, to
+# places where there is no smoke; if that unit is right, smoke moves fewer voxels a frame.
 FEW_STEPS = 32
 # Than with another velocity: factors with the differences that tell. The second is for slow smoke,
 # which a wrong velocity leaves behind only in the course of a shot.
@@ -221,7 +221,7 @@ def _as_frame(smoke: ActiveSmoke, to_stage: np.ndarray) -> VolumeFrame:
 
 
 class _Traced:
-    """Where some voxels of two frames come from and go to, at the velocity and at others.
+    """Where some voxels of two frames come from and go to, at the velocity and at other speeds.
 
     Args:
         before, smoke: of both frames; their densities do not matter.
@@ -231,7 +231,8 @@ class _Traced:
     def __init__(self, before: ActiveSmoke, smoke: ActiveSmoke, transit: Transit) -> None:
         self.transit, device = transit, smoke.ijk.device
         self._places = _some(smoke).positions, _some(before).positions
-        self._tracers = transit.tracer(device), transit.reverse.tracer(device)
+        flow = Flow.of(transit.mover, device)  # one for both ways
+        self._tracers = [Tracer(way, flow, device) for way in (transit, transit.reverse)]
         self._known: dict[float, tuple[Tensor, Tensor]] = {}
 
     def at(self, times: float) -> tuple[Tensor, Tensor]:

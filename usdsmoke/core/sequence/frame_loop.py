@@ -43,8 +43,13 @@ from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.steps.behind import refine_painted
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.light_share import picture_reports
-from usdsmoke.core.steps.motion import near_smoke
-from usdsmoke.core.steps.move import displacement_of, movable_blocks, move_density
+from usdsmoke.core.steps.move import (
+    displacement_of,
+    fade_of,
+    movable_blocks,
+    move_density,
+    near_smoke,
+)
 from usdsmoke.core.steps.pictures import ColourView
 from usdsmoke.core.steps.shape import Start, max_displacement, run_shape_step
 
@@ -165,8 +170,8 @@ def _average(context: WindowContext, frame: ShapedFrame, later: ShapedFrame | No
     if later.is_cold:
         return frame
     started, transit = time.perf_counter(), context.transit(frame, later)
-    lattice = frame.unclamped.lattice
-    near = near_smoke(lattice.fill(movable_blocks(frame.source)))
+    lattice, source = frame.unclamped.lattice, frame.source
+    near = near_smoke(lattice.fill(movable_blocks(source)), lattice, fade_of(source))
     averaged = average_displacement(frame.unclamped, later.unclamped, transit, share, near)
     report = frame.report.with_transport_time(time.perf_counter() - started)
     return replace(frame, unclamped=averaged, report=report)

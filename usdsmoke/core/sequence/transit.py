@@ -11,7 +11,7 @@ from usdsmoke.core.fields.sample import sample_linear, share_of_flat
 from usdsmoke.core.fields.transport import backtrace, check_finite, choose_substeps
 from usdsmoke.core.smoke.memory import CHUNK_ROWS, chunks, share_rows
 
-TRACED_AT_ONCE = 2**15  # points; half as many take longer each
+TRACED_AT_ONCE = 2**15  # points; with half as many, each point takes longer
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class Transit:
             positions: [N 3] float64, stage space.
 
         Raises:
-            NonFiniteError, PlanError: see ``Tracer``.
+            NonFiniteError: the velocity holds NaN or infinity.
+            PlanError: it is too fast for its unit to be right.
         """
         return self.tracer(positions.device)(positions)
 
@@ -49,7 +50,7 @@ class Transit:
         Raises:
             NonFiniteError: the velocity holds NaN or infinity.
         """
-        return Tracer(self, device)
+        return Tracer(self, Flow.of(self.mover, device), device)
 
     def turn(self, vectors: Tensor) -> Tensor:
         """Vectors [... 3] of the source frame as the Volume's motion leaves them in the target."""
@@ -73,97 +74,127 @@ def ride_between(earlier: VolumeFrame, later: VolumeFrame) -> np.ndarray | None:
 
 
 class Tracer:
-    """Where smoke comes from along a transit; its velocity is prepared for many look-ups.
-
-    Beyond its box the velocity is that of the border. But one plane of voxels moves only the smoke
-    in it, unless the smoke is a slab itself. Without a velocity, smoke rests in its Volume.
+    """Where smoke comes from along a transit.
 
     Args:
         transit: the way.
+        flow: of the transit's mover; None: smoke rests in its Volume.
         device: of the points.
-
-    Raises:
-        NonFiniteError: the velocity holds NaN or infinity.
     """
 
-    def __init__(self, transit: Transit, device: torch.device) -> None:
-        self._goes_back = transit.backwards
+    def __init__(self, transit: Transit, flow: "Flow | None", device: torch.device) -> None:
+        self._flow, self._goes_back = flow, transit.backwards
         self._seconds = -transit.seconds if transit.backwards else transit.seconds
-        self._ride = self._rates = None
+        self._ride = None
         if transit.ride is not None:
             self._ride = torch.as_tensor(transit.stage_motion, device=device)
-        frame, velocity = transit.mover, transit.mover.velocity
-        if velocity is None or velocity.is_empty or frame.velocity_to_stage is None:
-            return
-        index_to_stage = velocity.index_to_world @ np.asarray(frame.velocity_to_stage, float)
-        self._forth, self._back = (
-            torch.as_tensor(matrix, device=device)
-            for matrix in (index_to_stage, np.linalg.inv(index_to_stage))
-        )
-        self._rates = rates = _voxels_per_second(velocity, device)
-        self._low = torch.tensor(velocity.ijk_min, dtype=torch.float64, device=device)
-        check_finite(rates, "velocity")
-        self._extremes = torch.stack(rates.aminmax())
-        self._ends = 1 in rates.shape[:3] and 1 not in frame.density.values.shape
 
     def __call__(
         self, positions: Tensor, times: float = 1.0, most_steps: int | None = None
     ) -> Tensor:
         """Where the smoke at points comes from, [N 3] float64; threads share the points.
 
-        Mid-point steps, as many as a CFL number of 1 needs. Places are in double precision, the
-        velocity between them is looked up in single precision.
-
         Args:
             positions: [N 3] float64, stage space.
             times: of its velocity, that the smoke goes with.
-            most_steps: no more are taken, however fast it is.
+            most_steps: no more are taken, however fast it is; None: as many as it needs.
 
         Raises:
             PlanError: the velocity is too fast for its unit to be right.
         """
-        if self._ride is None and self._rates is None:
+        flow, ride = self._flow, self._ride
+        if flow is None and ride is None:
             return positions
+        seconds = times * self._seconds
+        n_steps = 0 if flow is None else flow.n_steps(seconds)
+        if most_steps is not None:
+            n_steps = min(n_steps, most_steps)
         found = torch.empty_like(positions)
 
         def follow(part: slice) -> None:
-            found[part] = self._follow(positions[part], times, most_steps)
+            place = positions[part]
+            if ride is not None and not self._goes_back:
+                place = place @ ride[:3, :3] + ride[3, :3]
+            if flow is not None:
+                place = flow.follow(place, seconds, n_steps)
+            if ride is not None and self._goes_back:
+                place = place @ ride[:3, :3] + ride[3, :3]
+            found[part] = place
 
         share_rows(follow, len(positions), TRACED_AT_ONCE, positions.device)
         return found
 
-    def _follow(self, positions: Tensor, times: float, most_steps: int | None) -> Tensor:
-        if self._ride is None:
-            return self._flow(positions, times, most_steps)
-        matrix, offset = self._ride[:3, :3], self._ride[3, :3]
-        if self._goes_back:
-            return self._flow(positions, times, most_steps) @ matrix + offset
-        return self._flow(positions @ matrix + offset, times, most_steps)
 
-    def _flow(self, positions: Tensor, times: float, most_steps: int | None) -> Tensor:
-        """By the frame's own velocity, within its Volume."""
-        rates, seconds = self._rates, times * self._seconds
-        if rates is None:
-            return positions
-        n_steps = choose_substeps(self._extremes, seconds)
-        if most_steps is not None:
-            n_steps = min(n_steps, most_steps)
+class Flow:
+    """The velocity of a frame within its Volume, laid out for many look-ups.
 
-        def rate_at(place: Tensor) -> Tensor:
-            return sample_linear(rates, place.to(rates.dtype), boundary="nearest")
+    Beyond its box the velocity is that of the border. But one plane of voxels moves only the smoke
+    in it, unless the smoke is a slab itself.
 
+    Args:
+        velocity: [I J K 3], grid world units per second.
+        index_to_stage: [4 4].
+        moves_all: whether one plane of voxels moves all smoke.
+        device: of the points.
+
+    Raises:
+        NonFiniteError: the velocity holds NaN or infinity.
+    """
+
+    def __init__(
+        self, velocity: DenseField, index_to_stage: np.ndarray, moves_all: bool,
+        device: torch.device,
+    ) -> None:  # fmt: skip
+        self._forth, self._back = (
+            torch.as_tensor(matrix, device=device)
+            for matrix in (index_to_stage, np.linalg.inv(index_to_stage))
+        )
+        self._rates = rates = _voxels_per_second(velocity, device)
+        self._low = torch.tensor(velocity.ijk_min, dtype=torch.float64, device=device)
+        self._extremes = torch.stack(rates.aminmax())
+        self._ends = 1 in rates.shape[:3] and not moves_all
+
+    @classmethod
+    def of(cls, frame: VolumeFrame, device: torch.device) -> "Flow | None":
+        """Of a frame; None where it has no velocity."""
+        velocity = frame.velocity
+        if velocity is None or velocity.is_empty or frame.velocity_to_stage is None:
+            return None
+        index_to_stage = velocity.index_to_world @ np.asarray(frame.velocity_to_stage, float)
+        return cls(velocity, index_to_stage, 1 in frame.density.values.shape, device)
+
+    def n_steps(self, seconds: float) -> int:
+        """As many as a CFL number of 1 needs.
+
+        Raises:
+            PlanError: the velocity is too fast for its unit to be right.
+        """
+        return choose_substeps(self._extremes, seconds)
+
+    def follow(self, positions: Tensor, seconds: float, n_steps: int) -> Tensor:
+        """Where smoke at points [N 3] float64 was ``seconds`` ago, by mid-point steps.
+
+        Places are followed in double precision, so smoke at rest stays where it is bit for bit. A
+        look-up rounds them to single precision, counted from the velocity's box.
+        """
         start = positions @ self._back[:3, :3] + self._back[3, :3] - self._low
-        place = backtrace(rate_at, start, seconds, n_steps)
+        place = backtrace(self._rate_at, start, seconds, n_steps)
         if self._ends:
-            place = torch.lerp(start, place, share_of_flat(rates.shape, start)[:, None])
+            share = share_of_flat(self._rates.shape, start)
+            place = torch.lerp(start, place, share[:, None])
         return (place + self._low) @ self._forth[:3, :3] + self._forth[3, :3]
+
+    def _rate_at(self, place: Tensor) -> Tensor:
+        return sample_linear(self._rates, place.to(self._rates.dtype), boundary="nearest")
 
 
 def _voxels_per_second(velocity: DenseField, device: torch.device) -> Tensor:
     """[I J K 3] float32 from grid world units per second; planar, because it is sampled often."""
     to_index = torch.as_tensor(np.linalg.inv(velocity.index_to_world[:3, :3]))
     given = torch.from_numpy(velocity.values).view(-1, 3)
+    check_finite(given, "velocity")
+    most = torch.finfo(torch.float32).max  # a single wild voxel is too fast, not infinite
     rates = torch.empty((3, len(given)), dtype=torch.float32, device=device)
     for part in chunks(len(given), CHUNK_ROWS, given.device):
-        rates[:, part] = (given[part].double() @ to_index).T.to(device)
+        rates[:, part] = (given[part].double() @ to_index).clamp(-most, most).T.to(device)
     return rates.view(3, *velocity.values.shape[:3]).movedim(0, -1)

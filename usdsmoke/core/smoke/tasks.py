@@ -100,10 +100,11 @@ def run_tasks(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
 def run_beside(first: Callable[[], Result], second: Callable[[], Result]) -> tuple[Result, Result]:
     """What both return, as ``run_tasks``, but tasks inside the first one are shared.
 
-    Another thread computes the second one, and then takes part in the first.
+    Another thread computes the second one, and then takes part in the first. If none is free, this
+    thread computes it after the first.
 
     Raises:
-        Exception: that of the first one that failed.
+        Exception: that of ``first``; if it has none, that of ``second``, once ``first`` has ended.
     """
     if _n_threads < 2 or getattr(_here, "busy", False):
         return first(), second()

@@ -23,13 +23,12 @@ from usdsmoke.core.fields.sparse_map import Nodes
 from usdsmoke.core.fields.transport import warp
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.memory import run_on
-from usdsmoke.core.steps.move import effect_on, moves_along, shares_on, smoke_box
+from usdsmoke.core.steps.move import effect_on, moves_along, near_smoke, shares_on, smoke_box
 from usdsmoke.core.views.visibility import EffectMask
 
 Start = Callable[[Lattice, Tensor], Tensor]
 
 N_LEVELS = 5  # of the coefficient pyramid
-NEAR = 3  # voxels around smoke to which a neighbour's motion is carried: it ends there
 
 
 @dataclass(frozen=True)
@@ -68,28 +67,19 @@ class MotionBox:
             blocks: they move as a whole.
             mask: share of the effect.
             fade: see ``move.fade_of``.
-            start: lattice, ``near_smoke`` -> velocity [I J K 3] along its axes, stage units per
-                unit of time.
+            start: lattice, mask of ``move.near_smoke`` -> velocity [I J K 3] along its axes, stage
+                units per unit of time; 0 outside of the mask.
         """
         lattice = smoke_box(blocks, fade)
         density = lattice.fill(blocks)
         share = shares_on(lattice, mask, density)
         effect = effect_on(density, lattice, fade, share)
-        base = None if start is None else start(lattice, near_smoke(density))
+        base = None if start is None else start(lattice, near_smoke(density, lattice, fade))
         return cls(lattice, density, effect, share, base)
 
     def change(self, potential: Tensor, kind: str) -> Tensor:
         """What a potential [I J K C] adds to the velocity, [I J K 3] along the axes."""
         return unclamped_displacement(potential, self.effect, kind, self.lattice)
-
-
-def near_smoke(density: Tensor) -> Tensor:
-    """Where a neighbouring frame's motion can matter, [I J K] bool.
-
-    Motion fades towards the border of the smoke, and the smoke carries it along. In a lively plume
-    nothing of it is further away.
-    """
-    return grow(density > 0, NEAR)
 
 
 class Motion:

@@ -17,7 +17,7 @@ from usdsmoke.base.volume import DenseField
 from usdsmoke.core.fields.displacement import clamp_displacement
 from usdsmoke.core.fields.flow import flow
 from usdsmoke.core.fields.folding import measure_evenness
-from usdsmoke.core.fields.lattice import Lattice, field_from_box, surround
+from usdsmoke.core.fields.lattice import Lattice, field_from_box, grow, surround
 from usdsmoke.core.fields.potential import Displacement, border_mask
 from usdsmoke.core.fields.resample import apply_along
 from usdsmoke.core.fields.transport import Scheme, correct_mass, warp
@@ -53,8 +53,25 @@ def smoke_box(smoke: ActiveSmoke, fade: float) -> Lattice:
         fade: of the full resolution, see ``fade_of``.
     """
     sides = np.linalg.norm(smoke.index_to_stage[:3, :3], axis=1)
-    padding = np.maximum(np.ceil(BEYOND * fade / sides).astype(int) + 1, LEAST_PADDING)
-    return surround(smoke, padding.tolist())
+    return surround(smoke, _room(sides, fade))
+
+
+def near_smoke(density: Tensor, lattice: Lattice, fade: float) -> Tensor:
+    """Where smoke can be moved, [I J K] bool: as far around it as ``smoke_box`` reaches.
+
+    A neighbouring frame's motion is carried here alone.
+
+    Args:
+        density: [I J K], on the lattice.
+        fade: see ``fade_of``.
+    """
+    return grow(density > 0, _room(lattice.spacing, fade))
+
+
+def _room(sides: Sequence[float], fade: float) -> list[int]:
+    """Voxels along each axis, by which the effect reaches beyond thin smoke."""
+    reach = np.ceil(BEYOND * fade / np.asarray(sides)).astype(int) + 1
+    return [int(n) for n in np.maximum(reach, LEAST_PADDING)]
 
 
 def effect_on(density: Tensor, lattice: Lattice, fade: float, share: Tensor | None) -> Tensor:

@@ -38,8 +38,8 @@ from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList, accumulate_beside
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
-from usdsmoke.core.steps.motion import Motion, MotionBox, Start, near_smoke
-from usdsmoke.core.steps.move import fade_of, movable_blocks, smoke_box
+from usdsmoke.core.steps.motion import Motion, MotionBox, Start
+from usdsmoke.core.steps.move import fade_of, movable_blocks, near_smoke, smoke_box
 from usdsmoke.core.steps.optimize import Descent, Minimum, minimize
 from usdsmoke.core.steps.pictures import GreyView, ViewPool, grey_view
 from usdsmoke.core.steps.targets import StepProblem
@@ -187,7 +187,7 @@ def run_shape_step(
     lattice = smoke_box(blocks, fade)
     base = box.base
     if start is not None and box.lattice.spacing != lattice.spacing:
-        base = start(lattice, near_smoke(lattice.fill(blocks)))
+        base = start(lattice, near_smoke(lattice.fill(blocks), lattice, fade))
     return _velocity(box, values, kind, lattice, base), ends
 
 
