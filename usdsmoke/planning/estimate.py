@@ -4,15 +4,15 @@ All formulae and their constants are in this file. N is the number of active vox
 the box (both after refinement), M the voxels of the mask's box (which is not refined), P the pixels
 of a picture, L the views in the pool, V those an iteration draws, S the style images, and s an
 octave's linear resolution as a share of the full one. In ``work``, N, B and P are the visible ones,
-and blocks of voxels count as one where a pixel holds them:
+and blocks of voxels count as one where a pixel holds them, or where the shape step moves them:
 
     memory  = BASE + B BOX_BYTES + M MASK_BYTES + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
     work    = sum over steps and octaves of
                   (min(L, n V) VIEW_TIME N + MAP_TIME N + BOX_TIME B) s^3 +
-                  n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3))
+                  n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3) + MOVE_TIME N s^3)
     seconds = START + sum over frames of
-                  (FRAME + FILE_TIME N + (NEIGHBOUR + NEIGHBOUR_TIME N, if warm) +
-                   work / threads^GAIN)
+                  (FRAME + FILE_TIME N +
+                   (work + FINISH_TIME N + (NEIGHBOUR + NEIGHBOUR_TIME N, if warm)) / threads^GAIN)
     training = sum over its parts of
                    n (ITERATION + V' (S PIXEL_TIME P' + VOXEL_TIME C) + LEARN_TIME C) / threads^GAIN
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
@@ -25,13 +25,16 @@ Training is that of a network in the run (``optimize.start``), in n iterations o
 C voxels in V' pictures of P' pixels (``training_parts``); it adds LEARN_BYTES N to the memory. The
 network paints a frame that starts from no neighbour in PAINT_TIME N.
 
-MAP_TIME, BOX_TIME and BOX_BYTES_SHAPE apply to the shape step only, which computes its displacement
-on the whole box, once per octave. Three frames are in memory at a time, one of them at work. Memory
-is that of the largest at work; what the other two hold, their fields and results, is part of
-BOX_BYTES_WARM. The constants of time are fitted to a server's processor, for plumes of 2 thousand
-to a million voxels, and sequences of 6 and 12 frames: CPU seconds of one thread were met within a
-factor of 1.25, wall seconds of two threads within 1.4. Other processors and busy machines differ
-more. The memory is an upper bound.
+MAP_TIME, BOX_TIME, MOVE_TIME and BOX_BYTES_SHAPE apply to the shape step only. Its displacement is
+laid out on the whole box, once per octave, and its iterations move the smoke. FINISH_TIME is the
+sum of SHEET_TIME, TRANSPORT_TIME with a shape step, and ESTIMATE_TIME with an error budget.
+
+Three frames are in memory at a time, one of them at work. Memory is that of the largest at work;
+what the other two hold, their fields and results, is part of BOX_BYTES_WARM. The constants of time
+are fitted to a server's processor, for plumes of 31 thousand to a million voxels and sequences of
+four frames: CPU seconds of one thread were met within a factor of 1.2, wall seconds of two threads
+within 1.4, also of twelve frames. Other processors and busy machines differ more. The memory is an
+upper bound.
 """
 
 import math
@@ -50,7 +53,13 @@ from usdsmoke.core.sequence.controls import (
     network_alone,
     step_iterations,
 )
-from usdsmoke.core.smoke.schedule import OCTAVE_SCALE, network_views, pool_size, warm_iterations
+from usdsmoke.core.smoke.schedule import (
+    MANY_VOXELS,
+    OCTAVE_SCALE,
+    network_views,
+    pool_size,
+    warm_iterations,
+)
 from usdsmoke.vdb.header import GridHeader
 
 BASE = 0.7 * GIB  # the interpreter with USD and torch loaded, and cached frames
@@ -65,13 +74,17 @@ LEARN_BYTES = 1_000  # octaves of a network's frames and of the one that judges,
 PIXEL_BYTES = 12_000  # feature maps, and the values kept for the gradient
 
 START = 3.0  # loading torch, learning the filters
-NEIGHBOUR = 0.15  # carrying results from a neighbour, and comparing with it
+NEIGHBOUR = 2.3  # carrying results from a neighbour, and comparing with it
 NEIGHBOUR_TIME = 1.0e-5
 FRAME = 0.15  # reading, writing and re-opening the files, however small
-FILE_TIME = 6.0e-6
+FILE_TIME = 1.0e-6
+SHEET_TIME = 4.0e-6  # what a frame takes once, and its share of the contact sheet
+TRANSPORT_TIME = 3.0e-6  # the last move of the density
+ESTIMATE_TIME = 5.0e-6  # of the remaining errors
 ITERATION = 0.025
-PIXEL_TIME = 3.6e-6
-VOXEL_TIME = 0.9e-7
+PIXEL_TIME = 8.0e-6
+VOXEL_TIME = 1.7e-7
+MOVE_TIME = 2.2e-6
 BOX_TIME = 1.0e-7
 MAP_TIME = 5.0e-7
 VIEW_TIME = 4.5e-7
@@ -255,10 +268,17 @@ def _frame_seconds(
         seconds += PAINT_TIME * active / speed
     if by_themselves(config):
         return seconds
-    if not frame.window_start:
-        seconds += NEIGHBOUR + NEIGHBOUR_TIME * active * octaves[1] ** 3
     work = sum(_step_work(step, frame, config, n_styles, octaves) for step in config.optimize.steps)
+    work += _finish_time(config) * active * octaves[1] ** 3
+    if not frame.window_start:
+        work += NEIGHBOUR * octaves[1] + NEIGHBOUR_TIME * active * octaves[1] ** 3
     return seconds + work / speed
+
+
+def _finish_time(config: Config) -> float:
+    """Seconds of one thread for each voxel of a frame, beside its steps."""
+    moved = TRANSPORT_TIME if "shape" in config.optimize.steps else 0.0
+    return SHEET_TIME + moved + (ESTIMATE_TIME if config.optimize.error_budget else 0.0)
 
 
 def _step_work(
@@ -269,6 +289,7 @@ def _step_work(
     finer = joined ** sum(n > 1 for n in frame.box)
     active, box = (frame.visible * n / finer for n in _refined(frame, config))
     pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * frame.visible ** (2 / 3)
+    in_blocks = step == "shape" and joined == 1 and active >= MANY_VOXELS
     above, finest = octaves
     is_warm = not frame.window_start
     iterations = step_iterations(config, step, is_warm and finest == 1.0, round(active))
@@ -278,6 +299,8 @@ def _step_work(
     ]
     if is_warm and finest < 1.0:
         iterations = warm_iterations(iterations, config.windows.warm_iterations)
+    if in_blocks:  # the last octave is done on those of the one before, which is left out
+        iterations[-2:] = [iterations[-1], 0]
     n_pool = pool_size(config.views)
     n_drawn = min(config.views.count, n_pool)
     work = 0.0
@@ -291,6 +314,7 @@ def _step_work(
         work += n_iterations * (ITERATION + iteration) + drawn * VIEW_TIME * active * scale**3
         if step == "shape":
             work += (MAP_TIME * active + BOX_TIME * box) * scale**3
+            work += n_iterations * MOVE_TIME * active * scale**3
     return work
 
 

@@ -70,7 +70,9 @@ def test_pictures_finer_than_the_voxels_are_not_drawn() -> None:
 def test_a_frame_that_starts_from_its_neighbour_is_cheaper() -> None:
     warm = FrameSize(FRAME.active_voxels, FRAME.box, window_start=False)
     carried, cold = estimate_run([warm], Config(), 1, 2).seconds, estimate().seconds
-    assert carried - START < 0.8 * (cold - START)
+    assert carried - START < 0.95 * (cold - START)  # 0.85 was measured on 31 thousand voxels
+    half = resolve_config(["windows.warm_iterations=0.5"])
+    assert estimate_run([warm], half, 1, 2).seconds - START < 0.75 * (cold - START)
 
 
 def test_half_floats_and_no_colour_take_less_disk() -> None:
@@ -145,6 +147,36 @@ def test_cpu_seconds_of_stills_and_sequences_are_met_within_a_factor_of_1_5(
     words = ["shape.iterations=[60,50,40]", "colour.iterations=[120,120,120]"]
     found = estimate_run(sizes, resolve_config(words), threads=1)
     assert measured / 1.5 < found.seconds < measured * 1.5
+
+
+DEMO = ["views.image_size=125", "views.pool=12", "windows.warm_iterations=0.5"]
+
+
+@pytest.mark.parametrize(
+    ("voxels", "box", "n_frames", "settings", "measured"),
+    [
+        (31_305, (43, 65, 47), 1, [], 15.6),
+        (33_800, (44, 66, 48), 4, [], 47.7),
+        (139_180, (73, 101, 79), 1, DEMO, 31.9),
+        (149_500, (73, 103, 79), 4, DEMO, 89.0),
+        (1_049_275, (111, 222, 112), 1, [], 66.0),
+    ],
+    ids=["48 wide", "48 wide, 4 frames", "80 wide", "80 wide, 4 frames", "real plume"],
+)
+def test_times_of_one_thread_are_met_within_a_factor_of_1_3(
+    voxels: int, box: tuple[int, int, int], n_frames: int, settings: list[str], measured: float
+) -> None:
+    """Seconds by the clock on an idle machine: frame 6 or 6 to 9 of example plumes."""
+    sizes = [FrameSize(voxels, box, window_start=k == 0) for k in range(n_frames)]
+    found = estimate_run(sizes, resolve_config(settings), threads=1)
+    assert measured / 1.3 < found.seconds < measured * 1.3
+
+
+def test_the_demo_is_estimated_within_a_factor_of_1_6() -> None:
+    """Seconds by the clock of its twelve frames, two threads, a slow hour."""
+    sizes = [FrameSize(107_000 + 6_900 * k, (73, 105, 79), window_start=k == 0) for k in range(12)]
+    found = estimate_run(sizes, resolve_config(DEMO), threads=2)
+    assert 218.0 / 1.6 < found.seconds < 218.0 * 1.6
 
 
 def test_memory_is_above_what_was_measured_but_not_twice() -> None:

@@ -25,13 +25,11 @@ from usdsmoke.core.fields.warp_error import warp_error
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen
 from usdsmoke.core.smoke.levels import dense_level
 from usdsmoke.core.smoke.memory import run_on
+from usdsmoke.core.smoke.schedule import MANY_VOXELS
 from usdsmoke.core.views.visibility import EffectMask
 
 FADE = 0.02  # of the smoke's extent: sigma of the fade towards the border
 BEYOND = 1.2  # sigma; beyond a thin sheet the fade has ended there
-# Single voxels take three times as long as blocks of two; with fewer, pictures take most of the
-# time, and a density that is moved voxel by voxel is nearer to the style (decision 038)
-MANY_VOXELS = 2**19
 LEAST_PADDING = 2  # voxels: slopes reach one voxel beyond the effect
 LEAST_SHARE = 1e-7  # of the density of outliers: less, where there was none, is round-off
 
