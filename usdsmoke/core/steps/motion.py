@@ -68,7 +68,7 @@ class MotionBox:
             mask: share of the effect.
             fade: see ``move.fade_of``.
             start: lattice, mask of ``move.near_smoke`` -> velocity [I J K 3] along its axes, stage
-                units per unit of time; 0 outside of the mask.
+                units per unit of time. A neighbour's is carried to the mask alone.
         """
         lattice = smoke_box(blocks, fade)
         density = lattice.fill(blocks)
