@@ -11,8 +11,8 @@ and blocks of voxels count as one where a pixel holds them, or where the shape s
                   (min(L, n V) VIEW_TIME N + MAP_TIME N + BOX_TIME B) s^3 +
                   n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3) + MOVE_TIME N s^3)
     seconds = START + sum over frames of
-                  (FRAME + FILE_TIME N +
-                   (work + FINISH_TIME N + (NEIGHBOUR + NEIGHBOUR_TIME N, if warm)) / threads^GAIN)
+                  (FRAME + FILE_TIME N + (work + FINISH_TIME N s^3 +
+                   (NEIGHBOUR s + NEIGHBOUR_TIME N s^3, if warm)) / threads^GAIN)
     training = sum over its parts of
                    n (ITERATION + V' (S PIXEL_TIME P' + VOXEL_TIME C) + LEARN_TIME C) / threads^GAIN
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
@@ -20,6 +20,8 @@ and blocks of voxels count as one where a pixel holds them, or where the shape s
 Frames in an overlap of windows take twice the time, and two more files of 32-bit floats. The coarse
 step, if there is one, costs the work of the octaves up to its share of the resolution; windows then
 start above it. A frame that starts from its neighbour (a warm one) has the finest octave only.
+Frames that are not optimised, or that a network alone paints, have FRAME and FILE_TIME and no work;
+in ``seconds``, s is 1 but in the coarse step.
 
 Training is that of a network in the run (``optimize.start``), in n iterations on frames or crops of
 C voxels in V' pictures of P' pixels (``training_parts``); it adds LEARN_BYTES N to the memory. The
@@ -289,7 +291,6 @@ def _step_work(
     finer = joined ** sum(n > 1 for n in frame.box)
     active, box = (frame.visible * n / finer for n in _refined(frame, config))
     pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * frame.visible ** (2 / 3)
-    in_blocks = step == "shape" and joined == 1 and active >= MANY_VOXELS
     above, finest = octaves
     is_warm = not frame.window_start
     iterations = step_iterations(config, step, is_warm and finest == 1.0, round(active))
@@ -299,8 +300,10 @@ def _step_work(
     ]
     if is_warm and finest < 1.0:
         iterations = warm_iterations(iterations, config.windows.warm_iterations)
-    if in_blocks:  # the last octave is done on those of the one before, which is left out
-        iterations[-2:] = [iterations[-1], 0]
+    if step == "shape" and joined == 1 and active >= MANY_VOXELS and iterations[-1]:
+        # the last octave is done on the blocks of the one before, which is left out
+        iterations[-2:-1] = [0] * len(iterations[-2:-1])
+        scales[-1] = 1.0 / OCTAVE_SCALE
     n_pool = pool_size(config.views)
     n_drawn = min(config.views.count, n_pool)
     work = 0.0

@@ -104,8 +104,9 @@ def test_smoke_can_be_moved_wherever_the_effect_is_not_0(
     """The effect around a thin sheet reaches further the wider it is."""
     smoke = smoke_of(np.ones(shape, np.float32))
     fade = fade_of(smoke)
-    lattice = smoke_box(smoke, fade)
+    lattice = surround(smoke, 20)
     density = lattice.fill(smoke)
-    effect = effect_on(density, lattice, fade, None)
-    assert not (effect > 0)[~near_smoke(density, lattice, fade)].any()
+    effect, near = effect_on(density, lattice, fade, None), near_smoke(density, lattice, fade)
+    assert not (effect > 0)[~near].any() and (~near).any()
+    assert near.sum() == np.prod(smoke_box(smoke, fade).shape)
     assert bool((effect[density == 0] > 0).any()) == beyond

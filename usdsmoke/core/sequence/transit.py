@@ -174,8 +174,8 @@ class Flow:
     def follow(self, positions: Tensor, seconds: float, n_steps: int) -> Tensor:
         """Where smoke at points [N 3] float64 was ``seconds`` ago, by mid-point steps.
 
-        Places are followed in double precision, so smoke at rest stays where it is bit for bit. A
-        look-up rounds them to single precision, counted from the velocity's box.
+        Places are followed in double precision. A look-up rounds them to single precision, counted
+        from the velocity's box. Where the velocity is 0, all numbers of seconds give the same bits.
         """
         start = positions @ self._back[:3, :3] + self._back[3, :3] - self._low
         place = backtrace(self._rate_at, start, seconds, n_steps)
