@@ -184,20 +184,19 @@ def run_shape_step(
     if box is None:
         box = MotionBox.of(blocks, problem.mask, fade, start)
     values = _potential_on(box.lattice, potential, n_channels, box.density)
-    lattice = smoke_box(blocks, fade)
-    base = box.base
-    if start is not None and box.lattice.spacing != lattice.spacing:
-        base = start(lattice, near_smoke(lattice.fill(blocks), lattice, fade))
-    return _velocity(box, values, kind, lattice, base), ends
+    return _velocity(box, values, kind, blocks, fade, start), ends
 
 
 def _velocity(
-    box: MotionBox, potential: Tensor, kind: str, lattice: Lattice, base: Tensor | None
-) -> Displacement:
-    """What a potential [I J K C] on the last octave's box adds to a base, on a finer lattice."""
-    change = box.change(potential, kind)
+    box: MotionBox, potential: Tensor, kind: str, blocks: ActiveSmoke, fade: float,
+    start: Start | None,
+) -> Displacement:  # fmt: skip
+    """What a potential [I J K C] on the last octave's box adds to the start, on that of blocks."""
+    change, base, lattice = box.change(potential, kind), box.base, smoke_box(blocks, fade)
     if box.lattice.spacing != lattice.spacing:
         change = Displacement(box.lattice.to_stage(change), box.lattice).on(lattice)
+        near = near_smoke(lattice.fill(blocks), lattice, fade)
+        base = None if start is None else start(lattice, near)
     found = change if base is None else change + base
     return Displacement(lattice.to_stage(found), lattice)
 
