@@ -10,7 +10,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
-from usdsmoke.base.volume import DenseField
+from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.fields import lattice as lattice_module
 from usdsmoke.core.fields.lattice import surround
 from usdsmoke.core.fields.potential import Displacement
@@ -38,14 +38,19 @@ class LargeTensors(TorchDispatchMode):
         return found
 
 
+def drifting(density: np.ndarray, speed: float, low: int) -> VolumeFrame:
+    """A frame with one velocity in all of a box of 32 voxels, of which the first is ``low``."""
+    values = np.full((32, 32, 32, 3), speed, np.float32)
+    velocity = DenseField("v", values, (low, low, low), np.eye(4), (0.0, 0.0, 0.0))
+    return replace(frame_of(density), velocity=velocity, velocity_to_stage=np.eye(4))
+
+
 def test_a_carried_displacement_takes_no_box_of_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """Velocity and displacement once each, channel by channel, and the result."""
     monkeypatch.setattr(lattice_module, "LATTICE_CHUNK", 500)
     density = puff(28)
     box = surround(smoke_of(density), 2)
-    speed = np.full((32, 32, 32, 3), 30.0, np.float32)
-    velocity = DenseField("v", speed, (-2, -2, -2), np.eye(4), (0.0, 0.0, 0.0))
-    frame = replace(frame_of(density), velocity=velocity, velocity_to_stage=np.eye(4))
+    frame = drifting(density, 30.0, -2)
     before = Displacement(torch.rand(*box.shape, 3), box)
     with LargeTensors(3 * int(np.prod(box.shape))) as large:
         carried = carry_displacement(before, Transit(frame, 1 / 24), box)
@@ -58,9 +63,7 @@ def test_a_carried_displacement_keeps_what_is_small() -> None:
     """Half a voxel there and back: linear look-ups leave half of a wave of four voxels."""
     density = puff(28)
     box = surround(smoke_of(density), 2)
-    speed = np.full((32, 32, 32, 3), 0.5 * 24, np.float32)
-    velocity = DenseField("v", speed, (-2, -2, -2), np.eye(4), (0.0, 0.0, 0.0))
-    frame = replace(frame_of(density), velocity=velocity, velocity_to_stage=np.eye(4))
+    frame = drifting(density, 0.5 * 24, -2)
     wave = torch.sin(torch.arange(box.shape[0]) * np.pi / 2)[:, None, None, None]
     before = Displacement(wave.expand(*box.shape, 3).contiguous().float(), box)
     transit = Transit(frame, 1 / 24)
@@ -75,9 +78,7 @@ def test_a_displacement_is_carried_to_where_smoke_can_be_moved() -> None:
     """What two voxels of drift bring; beyond, where there is no smoke, nothing is looked up."""
     density = puff(12)
     box = surround(smoke_of(density), 8)
-    speed = np.full((32, 32, 32, 3), 2.0 * 24, np.float32)
-    velocity = DenseField("v", speed, (-8, -8, -8), np.eye(4), (0.0, 0.0, 0.0))
-    frame = replace(frame_of(density), velocity=velocity, velocity_to_stage=np.eye(4))
+    frame = drifting(density, 2.0 * 24, -8)
     before = Displacement(0.01 * torch.rand(*box.shape, 3), box)
     transit, there = Transit(frame, 1 / 24), box.fill(smoke_of(density))
     near = near_smoke(there, box, 1.0)

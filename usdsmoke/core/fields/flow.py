@@ -66,10 +66,10 @@ class _Filled(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, values: Tensor, active: Nodes) -> Tensor:
         ctx.active = active
-        box = values.new_empty(3, len(active.numbers))
+        box = values.new_zeros(3, len(active.numbers))
 
         def fill(axis: int) -> None:
-            box[axis].zero_().index_copy_(0, active.flat, values[:, axis])
+            box[axis].index_copy_(0, active.flat, values[:, axis])
 
         run_on(values.device, [partial(fill, axis) for axis in range(3)])
         return box

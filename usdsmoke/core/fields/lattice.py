@@ -168,12 +168,17 @@ def _edges_text(smoke: ActiveSmoke) -> str:
 
 def grow(mask: Tensor, by: Sequence[int] = (1, 1, 1)) -> Tensor:
     """A mask [I J K] of a box, grown by some voxels along each axis, corners included."""
-    grown = mask.float()[None, None]
+    return largest_near(mask.float(), by) > 0
+
+
+def largest_near(values: Tensor, by: Sequence[int]) -> Tensor:
+    """The largest of a box's values [I J K] up to ``by`` voxels away along each axis."""
+    found = values[None, None]
     for axis in range(3):
         padding = [by[axis] if other == axis else 0 for other in range(3)]
         sizes = [2 * n + 1 for n in padding]
-        grown = F.max_pool3d(grown, sizes, stride=1, padding=padding)
-    return grown[0, 0] > 0
+        found = F.max_pool3d(found, sizes, stride=1, padding=padding)
+    return found[0, 0]
 
 
 def field_from_box(like: DenseField, values: np.ndarray, ijk_min: np.ndarray) -> DenseField:

@@ -7,7 +7,6 @@ from functools import reduce
 from operator import or_
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.core.fields.displacement import (
@@ -18,7 +17,7 @@ from usdsmoke.core.fields.displacement import (
     smooth_mask,
 )
 from usdsmoke.core.fields.gather import gather_sum, planar
-from usdsmoke.core.fields.lattice import Lattice
+from usdsmoke.core.fields.lattice import Lattice, largest_near
 from usdsmoke.core.fields.sample import sample_linear, spline_coefficients
 
 
@@ -84,13 +83,12 @@ def border_mask(density: Tensor, sigma: float | Sequence[float]) -> Tensor:
     """
     sigmas = [float(sigma)] * 3 if isinstance(sigma, (int, float)) else [float(s) for s in sigma]
     blurred = smooth_mask(density, sigmas)
-    nearby = blurred[None, None]
-    for axis, n in enumerate(density.shape):
-        sizes = [1, 1, 1]
-        sizes[axis] = 2 * min(math.ceil(2 * sigmas[axis]), n - 1) + 1
-        nearby = F.max_pool3d(nearby, sizes, stride=1, padding=[size // 2 for size in sizes])
+    reach = [
+        min(math.ceil(2 * along), n - 1) for along, n in zip(sigmas, density.shape, strict=True)
+    ]
+    nearby = largest_near(blurred, reach)
     tiny = torch.finfo(blurred.dtype).tiny
-    inside = (2 * blurred / nearby[0, 0].clamp_min(tiny) - 1).clamp_min(0)
+    inside = (2 * blurred / nearby.clamp_min(tiny) - 1).clamp_min(0)
     return inside * inside * (3 - 2 * inside)
 
 
