@@ -141,7 +141,6 @@ def test_a_coarse_step_has_no_blocks_of_the_finest_octave() -> None:
         )
         alone = estimate_run([size], config, 1, 1, has_starts=True).seconds
         found.append(shared - alone)
-        assert plain > 0
     assert found[0] < found[1] < 1.2 * found[0]
 
 
