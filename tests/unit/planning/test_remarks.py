@@ -178,11 +178,12 @@ def test_a_velocity_without_a_relationship_is_not_copied_and_the_plan_says_so(
     [
         (70, (), 3),  # a dragon, smeared
         (23, (), 4),
-        (107, (), None),  # the example plume with 64 voxels across, good
+        (109, (), 2),  # the example plume with 80 voxels across, smeared beside a refined one
+        (150, (), None),
         (222, (), None),  # cortex' smoke, good
         (4, (), None),
         (70, ("grids.refine=2",), None),
-        (70, ("views.image_size=128",), None),
+        (100, ("views.image_size=128",), None),
         (70, ("optimize.strength=0",), None),
     ],
 )
