@@ -392,6 +392,6 @@ def _coarse(volume: VolumePlan) -> list[str]:
     usual, longer = (estimate_run(sizes, c, len(volume.styles)).seconds for c in (config, finer))
     return [
         f"<{volume.source.prim_path}> has {longest} voxels along its longest side: "
-        f"grids.refine={parts} makes strokes sharper, in about {longer / usual:.2g} times the time. "
-        f"It divides each voxel into {parts**3}"
+        f"grids.refine={parts} makes strokes sharper, in about {longer / usual:.2g} times the "
+        f"time. It divides each voxel into {parts**3}"
     ]

@@ -136,9 +136,7 @@ def test_a_coarse_step_has_no_blocks_of_the_finest_octave() -> None:
     config, found = Config(), []
     for voxels in (65_000, 66_000):
         size = FrameSize(voxels, (100, 100, 100), window_start=False)
-        plain, shared = (
-            estimate_run([size], config, 1, 1, (), coarse).seconds for coarse in ((), [size])
-        )
+        shared = estimate_run([size], config, 1, 1, (), [size]).seconds
         alone = estimate_run([size], config, 1, 1, has_starts=True).seconds
         found.append(shared - alone)
     assert found[0] < found[1] < 1.2 * found[0]
