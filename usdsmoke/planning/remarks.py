@@ -1,7 +1,6 @@
 """What a plan remarks on: nothing that is wrong, but what may surprise at the end of a run."""
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any
@@ -17,12 +16,11 @@ from usdsmoke.base.time_codes import (
     parse_frames,
     select_frames,
 )
-from usdsmoke.planning.estimate import estimate_run
 from usdsmoke.planning.materials import lights_remark
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.planning.visibility import (
+    detail_remarks,
     is_inside,
-    pixels_across,
     rounding,
     share_within,
     voxel_size,
@@ -33,11 +31,7 @@ from usdsmoke.planning.windows import followed_codes
 # times 21 % and 1000 times 134 %; the shape step's rate makes no difference (< 1 %).
 EXTREME_RATE = 10.0
 
-# Pixels of a picture for one voxel from which strokes look smeared: with 192 pixels, plumes of 109
-# and 111 voxels do (decision 076).
-_COARSE = 4 / 3
 _HEAVY = 1000.0  # of a loss beside the style's: with as much hardly any strokes are left
-_FEWEST = 16  # voxels: fewer have no shape that strokes could follow
 _FEW_PIXELS = 32  # of a picture
 _UNLIKE = 4.0  # times the usual voxel: a shot may change its resolution by a factor of 2
 _FEWEST_PIXELS = 16  # of a repetition of the style: fewer hold no strokes
@@ -45,7 +39,6 @@ _WITHIN = 0.5  # of a box: less is neighbours that touch
 _ROUNDED = 1e-3  # of a voxel: 1e-3 changes the extinction of a puff by 3 %, 1 by 18 %
 _SIZES = (1e-15, 1e15)  # of voxels, stage units: squares of smaller or larger ones leave 32 bits
 _SHEARED = 0.01  # cosine between a camera's axes, and difference of their lengths
-MOST_REFINED = 4  # of the hint: 64 times the voxels
 
 
 def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
@@ -59,7 +52,7 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
             *_thickened_twice(volume),
             *_rate(volume),
             *_heavy_losses(volume),
-            *_coarse(volume),
+            *detail_remarks(volume),
             *_few_pixels(volume),
             *_unlike_voxels(volume),
             *_same_names(volume),
@@ -369,29 +362,4 @@ def _heavy_losses(volume: VolumePlan) -> list[str]:
         "Compare the result with the style"
         for name in names
         if getattr(losses, name) > _HEAVY * losses.style > 0
-    ]
-
-
-def _coarse(volume: VolumePlan) -> list[str]:
-    """Voxels that are larger than the strokes of a picture."""
-    config, longest = volume.config, _longest(volume)
-    pixels = config.views.image_size
-    if config.views.camera:
-        filled = [frame for frame in volume.frames if not frame.is_empty]
-        across = pixels_across(config, volume, filled)
-        if across < _FEWEST:
-            return [
-                f"the smoke of <{volume.source.prim_path}> is at most {across:.2g} pixels wide in "
-                "the camera's picture: strokes do not show. Set a larger views.camera_width, move "
-                "the camera, or unset views.camera"
-            ]
-    if config.grids.refine > 1 or not _FEWEST <= longest < pixels / _COARSE:
-        return []
-    parts = min(math.ceil(pixels / longest), MOST_REFINED)
-    sizes, finer = [f.size for f in volume.frames], config.with_values({"grids.refine": parts})
-    usual, longer = (estimate_run(sizes, c, len(volume.styles)).seconds for c in (config, finer))
-    return [
-        f"<{volume.source.prim_path}> has {longest} voxels along its longest side: "
-        f"grids.refine={parts} makes strokes sharper, in about {longer / usual:.2g} times the "
-        f"time. It divides each voxel into {parts**3}"
     ]

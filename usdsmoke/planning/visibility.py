@@ -1,18 +1,26 @@
-"""What a shot's camera can see of a box, from VDB headers alone, and what is left out for it."""
+"""What pictures show of a box, and what a shot's camera sees of it, from VDB headers alone."""
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
+from usdsmoke.base.machine import available_memory_gib
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import CameraSource, FieldSource, FrameSource
 from usdsmoke.core.views.frustum import frustum_of, pixel_footprint
+from usdsmoke.planning.estimate import estimate_run, training_seconds
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.vdb.header import GridHeader
 
+MOST_REFINED = 4  # of proposals: 64 times the voxels
 _SAMPLES = 16  # points along each side of a box
+# Pixels of a picture for one voxel from which strokes look smeared: with 192 pixels, plumes of 109
+# and 111 voxels do (decision 076)
+_COARSE = 4 / 3
+_FEWEST = 16  # voxels: fewer have no shape that strokes could follow
 
 
 def visible_share(
@@ -67,7 +75,46 @@ def voxel_size(volume: VolumePlan, frame: FramePlan) -> float:
     return 0.0 if points is None else _lengths(points[0], frame.size.box)[0]
 
 
-def pixels_across(config: Config, volume: VolumePlan, frames: Sequence[FramePlan]) -> float:
+def detail_remarks(volume: VolumePlan) -> list[str]:
+    """That a camera is too far away for strokes, or that finer voxels make them sharper."""
+    config, pixels = volume.config, float(volume.config.views.image_size)
+    filled = [frame for frame in volume.frames if not frame.is_empty]
+    if config.views.camera:
+        across = _pixels_across(config, volume, filled)
+        if across < _FEWEST:
+            return [
+                f"the smoke of <{volume.source.prim_path}> is at most {across:.2g} pixels wide in "
+                "the camera's picture: strokes do not show. Set a larger views.camera_width, move "
+                "the camera, or unset views.camera"
+            ]
+        pixels = min(pixels, across)
+    boxes = [frame.size.box for frame in filled if frame.size.computed]
+    longest = max(map(max, boxes), default=0)
+    if config.grids.refine > 1 or not _FEWEST <= longest < pixels / _COARSE:
+        return []
+    widest = max(math.hypot(*sorted(box)[-2:]) for box in boxes)  # of a picture of turned smoke
+    for parts in range(min(math.ceil(pixels / _COARSE / longest), MOST_REFINED), 1, -1):
+        times, memory = _price_of_detail(volume, parts)
+        is_joined = round(widest * parts / pixels) > 1  # to voxels as large as a pixel
+        if not is_joined and memory <= (config.optimize.memory_limit_gib or available_memory_gib()):
+            return [
+                f"grids.refine={parts} sharpens strokes of <{volume.source.prim_path}> in about "
+                f"{times:.2g} times its time: it has {longest} voxels along its longest side. It "
+                f"needs {memory:.1f} GiB of memory then"
+            ]
+    return []
+
+
+def _price_of_detail(volume: VolumePlan, parts: int) -> tuple[float, float]:
+    """How many times the time a Volume takes with ``grids.refine``, and its memory in GiB."""
+    config, sizes = volume.config, [frame.size for frame in volume.frames]
+    finer = config.with_values({"grids.refine": parts})
+    usual, refined = (estimate_run(sizes, c, len(volume.styles)) for c in (config, finer))
+    seconds = usual.seconds + training_seconds(sizes, config)
+    return (refined.seconds + training_seconds(sizes, finer)) / seconds, refined.memory_gib
+
+
+def _pixels_across(config: Config, volume: VolumePlan, frames: Sequence[FramePlan]) -> float:
     """Pixels of the camera's picture along the smoke's longest side, at most; inf if not known."""
     finest, _ = pixel_sizes(config, volume, frames)
     if finest == 0:

@@ -21,7 +21,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask, named_frames
-from usdsmoke.planning.remarks import MOST_REFINED
+from usdsmoke.planning.visibility import MOST_REFINED
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, network_file_name
 from usdsmoke.runs.opened import OpenRun, has_coarse_step, missing_starts
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback

@@ -68,7 +68,7 @@ def test_pictures_finer_than_the_voxels_are_not_drawn() -> None:
     assert estimate("views.image_size=96") == estimate("views.image_size=384")
 
 
-def test_a_frame_that_starts_from_its_neighbour_is_cheaper() -> None:
+def test_a_small_frame_that_starts_from_its_neighbour_is_cheaper() -> None:
     cold_frame = FrameSize(31_305, (43, 65, 47))
     warm = dataclasses.replace(cold_frame, window_start=False)
     carried, cold = (estimate_run([f], Config(), 1, 2).seconds for f in (warm, cold_frame))

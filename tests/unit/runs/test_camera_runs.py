@@ -154,7 +154,7 @@ def test_detail_that_a_narrow_shot_cannot_show_is_left_out(shot: Shot) -> None:
 
 def test_a_share_in_sight_costs_that_share() -> None:
     config = resolve_config()
-    size = {"active_voxels": 1_000_000, "box": (128, 128, 128)}
+    size = {"active_voxels": 1_000_000, "box": (128, 128, 128)}  # blocks move in half of it, too
     whole, half, none = (
         estimate_run([FrameSize(**size, visible=seen)], config, threads=1).seconds  # type: ignore[arg-type]
         for seen in (1.0, 0.5, 0.0)

@@ -12,7 +12,7 @@ BEHIND = 0.4  # of the finest octave's iterations: behind a network
 COARSER = 0.75  # of the iterations behind a network: on larger voxels, if there are more
 # From so many voxels on, the shape step moves blocks of two: it takes a third to a half of the
 # time, hardly folds, and sequences have fewer specks. A density that is moved voxel by voxel is
-# nearer to the style, which shows where smoke has few voxels (decisions 038 and 075)
+# nearer to the style: the fewer voxels smoke has, the more of it is lost (decisions 038 and 075)
 MANY_VOXELS = 2**16
 OCTAVE_SCALE = 2  # of neighbouring octaves: whole blocks of voxels, so that mass is kept exactly
 

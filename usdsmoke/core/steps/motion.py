@@ -2,7 +2,8 @@ r"""What moves the smoke of one octave: the flow of a potential's velocity, on b
 
 A potential on the blocks is derived, clamped to a velocity, and followed for a unit of time. Where
 smoke has many voxels, blocks are at least two of them long (``move.movable_blocks``): motion of
-single ones takes three times as long, and hardly brings pictures nearer to the style.
+single ones takes two to three times as long, and hardly brings coloured pictures nearer to the
+style.
 """
 
 from collections.abc import Callable
