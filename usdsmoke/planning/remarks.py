@@ -19,6 +19,7 @@ from usdsmoke.base.time_codes import (
 from usdsmoke.planning.materials import lights_remark
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.planning.visibility import (
+    computed_boxes,
     detail_remarks,
     is_inside,
     rounding,
@@ -237,8 +238,7 @@ def _shared_place(one: VolumePlan, other: VolumePlan) -> list[str]:
 
 def _longest(volume: VolumePlan) -> int:
     """Voxels along the longest side of all frames."""
-    boxes = (frame.size.box for frame in volume.frames if frame.size.computed)
-    return max(map(max, boxes), default=0)
+    return max(map(max, computed_boxes(volume)), default=0)
 
 
 def _few_pixels(volume: VolumePlan) -> list[str]:

@@ -88,21 +88,27 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
                 "the camera, or unset views.camera"
             ]
         pixels = min(pixels, across)
-    boxes = [frame.size.box for frame in filled if frame.size.computed]
+    boxes = computed_boxes(volume)
     longest = max(map(max, boxes), default=0)
     if config.grids.refine > 1 or not _FEWEST <= longest < pixels / _COARSE:
         return []
     widest = max(math.hypot(*sorted(box)[-2:]) for box in boxes)  # of a picture of turned smoke
     for parts in range(min(math.ceil(pixels / _COARSE / longest), MOST_REFINED), 1, -1):
+        if round(widest * parts / pixels) > 1:  # such voxels are joined, to the size of a pixel
+            continue
         times, memory = _price_of_detail(volume, parts)
-        is_joined = round(widest * parts / pixels) > 1  # to voxels as large as a pixel
-        if not is_joined and memory <= (config.optimize.memory_limit_gib or available_memory_gib()):
+        if memory <= (config.optimize.memory_limit_gib or available_memory_gib()):
             return [
                 f"grids.refine={parts} sharpens strokes of <{volume.source.prim_path}> in about "
                 f"{times:.2g} times its time: it has {longest} voxels along its longest side. It "
                 f"needs {memory:.1f} GiB of memory then"
             ]
     return []
+
+
+def computed_boxes(volume: VolumePlan) -> list[tuple[int, int, int]]:
+    """The boxes of the frames that are optimised, in voxels of their files."""
+    return [frame.size.box for frame in volume.frames if frame.size.computed]
 
 
 def _price_of_detail(volume: VolumePlan, parts: int) -> tuple[float, float]:
