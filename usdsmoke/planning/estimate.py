@@ -111,6 +111,7 @@ class FrameSize:
     mask_box: tuple[int, int, int] = (0, 0, 0)  # voxels of the mask; (0, 0, 0) without one
     visible: float = 1.0  # share of the box that the shot's camera sees
     computed: bool | None = None  # True if it is optimised; None: as optimize.strength implies
+    most_voxels: float = 0.0  # visible ones of the shot's largest frame; 0: its own
 
     @property
     def is_thin(self) -> bool:
@@ -221,8 +222,20 @@ def _speed(config: Config, threads: int | None = None) -> float:
 
 def _refined(frame: FrameSize, config: Config) -> tuple[int, int]:
     """Active voxels and voxels of the box after subdivision, which leaves thin axes alone."""
-    finer: int = config.grids.refine ** sum(n > 1 for n in frame.box)
+    finer = _refinement(frame, config)
     return frame.active_voxels * finer, math.prod(frame.box) * finer
+
+
+def _refinement(frame: FrameSize, config: Config) -> int:
+    """Into how many voxels each one of the file is divided."""
+    finer: int = config.grids.refine ** sum(n > 1 for n in frame.box)
+    return finer
+
+
+def _moves_blocks(frame: FrameSize, config: Config) -> bool:
+    """Whether the shape step moves blocks of two voxels: a shot's frames all do, or none."""
+    most = max(frame.most_voxels, frame.visible * frame.active_voxels)
+    return most * _refinement(frame, config) >= MANY_VOXELS
 
 
 def _voxels_a_pixel(frame: FrameSize, config: Config) -> int:
@@ -300,7 +313,7 @@ def _step_work(
     ]
     if is_warm and finest < 1.0:
         iterations = warm_iterations(iterations, config.windows.warm_iterations)
-    if step == "shape" and joined == 1 and active >= MANY_VOXELS and iterations[-1]:
+    if step == "shape" and joined == 1 and iterations[-1] and _moves_blocks(frame, config):
         # the last octave is done on the blocks of the one before, which is left out
         iterations[-2:-1] = [0] * len(iterations[-2:-1])
         scales[-1] = 1.0 / OCTAVE_SCALE

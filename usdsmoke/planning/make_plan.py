@@ -296,8 +296,9 @@ def _plan_volume(
     copies, reasons = find_copies(volume, [frame.copied for frame in frames], headers, config)
     reasons |= _unnamed_velocities(volume, frames, config)
     planned = VolumePlan(volume, stem, (), windows, config, own.styles, runs, cuts, reasons)
+    most_voxels = max(frame.size.visible * frame.size.active_voxels for frame in frames)
     frames = [
-        _with_copies(frame, grids, planned.moves_fields)
+        _with_copies(frame, grids, planned.moves_fields, most_voxels)
         for frame, grids in zip(frames, copies, strict=True)
     ]
     return replace(planned, frames=tuple(frames), beside=_left_beside(volume, frames[0], headers))
@@ -334,11 +335,14 @@ def _left_beside(
     return tuple(name for name in grids_beside(volume, header) if name not in used)
 
 
-def _with_copies(frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: bool) -> FramePlan:
-    """The frame with other grids that are copied into its file."""
+def _with_copies(
+    frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: bool, most_voxels: float
+) -> FramePlan:
+    """The frame with other grids that are copied into its file, and the size of its shot."""
     n_others = sum(grid.components for grid in grids)
     n_copied = frame.size.n_copied + n_others
-    size = replace(frame.size, n_copied=n_copied, n_moved=n_others if are_moved else 0)
+    n_moved = n_others if are_moved else 0
+    size = replace(frame.size, n_copied=n_copied, n_moved=n_moved, most_voxels=most_voxels)
     return replace(frame, others=grids, size=size)
 
 

@@ -100,7 +100,10 @@ class Case:
         scene, voxel = self.scene, self.small_smoke.voxel_size
         pixel = voxel * max(1, round(scene.pixel_size / voxel))
         image_size = max(16, round(scene.image_size * scene.pixel_size / pixel))
-        return replace(scene, pixel_size=pixel, image_size=image_size, camera=self.frame.camera)
+        return replace(
+            scene, pixel_size=pixel, image_size=image_size, camera=self.frame.camera,
+            most_voxels=len(self.small_smoke.ijk),
+        )  # fmt: skip
 
     @property
     def can_shrink(self) -> bool:

@@ -217,17 +217,13 @@ class Trial:
         limit, strength = max_displacement(smoke, config.shape.reach), config.optimize.strength
         displacement = displacement_of(unclamped, smoke, limit, strength=strength)
         density = self._field_of(setting)
-        return move_density(density, smoke, displacement, config.shape)[0], ends
+        return move_density(density, smoke, displacement, scene, config.shape)[0], ends
 
     def _scene_of(self, setting: Setting) -> "Scene":
         if setting.pixels == 1 and setting.refine == 1:
             return self._scene
-        scale = setting.pixels / setting.refine
-        return replace(
-            self._scene,
-            pixel_size=self._scene.pixel_size * scale,
-            image_size=max(1, round(self._scene.image_size / scale)),
-        )
+        n_voxels = len(self._smoke_of(setting).ijk)
+        return replace(self._scene.coarser(setting.pixels / setting.refine), most_voxels=n_voxels)
 
     def _targets_of(self, setting: Setting) -> "StyleTargets":
         from usdsmoke.core.steps.targets import make_targets

@@ -239,3 +239,12 @@ def test_the_share_of_columns_that_gamma_rests_on_tells_a_core_from_its_wisps() 
         for density in (even, core)
     ]
     assert shares[0] > 0.05 and shares[1] < 0.02
+
+
+@pytest.mark.parametrize(("shape", "refine", "most"), [((5, 6, 4), 2, 960), ((5, 6, 1), 3, 270)])
+def test_the_largest_frame_is_counted_in_refined_voxels(shape, refine, most):
+    frames = [frame_of(np.ones(shape)), frame_of(np.ones((2, 2, 2)))]
+    for order in (frames, frames[::-1]):
+        scene = measure_scene(order, ViewsConfig(), OpticsConfig(), "Y", refine)
+        assert scene.most_voxels == most
+        assert scene.coarser(2).most_voxels == most // 8 + (most % 8 > 4)

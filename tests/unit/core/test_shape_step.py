@@ -86,7 +86,7 @@ def test_the_optimised_picture_is_that_of_the_whole_box_moved(
     found, ends = run_shape_step(problem, config.shape.iterations, start)
     assert ends[-1].restored
 
-    limit, shown = max_displacement(smoke, config.shape.reach), move.movable_blocks(smoke)
+    limit, shown = max_displacement(smoke, config.shape.reach), move.movable_blocks(smoke, scene)
     displacement = displacement_of(found, shown, limit, mask)
     assert displacement.lattice.shape == found.lattice.shape
     lattice = displacement.lattice
@@ -232,3 +232,17 @@ def test_where_blocks_move_the_octave_that_has_the_same_voxels_is_left_out(
     config = quick_config(shape={"iterations": [2, 3, 4]}, optimize={"steps": ["shape"]})
     (frame,) = run_core([frame_of(puff(24))], config)
     assert frame.report.shape is not None and frame.report.shape.iterations == done
+
+
+@pytest.mark.parametrize(("limit", "done"), [(2000, (2, 4)), (10**9, (2, 3, 4))])
+def test_small_and_large_frames_of_a_shot_move_alike(
+    limit: int, done: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Blocks of two voxels, if the largest frame has many of them."""
+    monkeypatch.setattr(move, "MANY_VOXELS", limit)
+    config = quick_config(shape={"iterations": [2, 3, 4]}, optimize={"steps": ["shape"]})
+    frames = [frame_of(puff(n), float(n)) for n in (12, 24)]
+    assert [len(smoke_of(puff(n)).ijk) > 2000 for n in (12, 24)] == [False, True]
+    for frame in frames:
+        (found,) = run_core([frame], config, scene=scene_of(frames, config))
+        assert found.report.shape is not None and found.report.shape.iterations == done

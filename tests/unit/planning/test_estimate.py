@@ -254,3 +254,12 @@ def test_memory_of_frames_that_follow_each_other_is_above_what_was_measured_too(
     ]
     found = estimate_run(frames, Config(), threads=2)
     assert 2.4 < found.memory_gib < 4.8
+
+
+def test_small_frames_of_a_large_shot_take_the_time_of_blocks() -> None:
+    """They move blocks, as its large frames do: a third to a half of the shape step's time."""
+    config = resolve_config(["optimize.steps=[shape]"])
+    alone = FrameSize(60_000, (60, 80, 60))
+    beside = dataclasses.replace(alone, most_voxels=100_000)
+    usual, blocks = (estimate_run([f], config, threads=1).seconds - START for f in (alone, beside))
+    assert 0.25 * usual < blocks < 0.6 * usual

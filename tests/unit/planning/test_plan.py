@@ -244,3 +244,16 @@ def test_the_plan_says_over_how_many_frames_a_network_saves_its_training(shot: S
     seconds = [plan_of(shot.stage, *own).estimate.seconds for own in (alone, alone[1:2])]
     assert seconds[0] > seconds[1] and int(frames) > 3  # it does not pay for three
     assert not any("training" in note for note in plan_of(shot.stage).notes)
+
+
+def test_every_frame_knows_the_largest_one_of_its_shot(tmp_path: Path) -> None:
+    """It decides what the shape step moves, and so what a frame costs."""
+    stage = plume_stage(tmp_path)
+    openvdb = find_binding()
+    grid = openvdb.FloatGrid()
+    grid.fill((0, 0, 0), (9, 9, 9), 1.0)
+    grid.name, grid.gridClass = "density", "fog volume"
+    openvdb.write(str(tmp_path / "cache/smoke.0002.vdb"), grids=[grid])
+    sizes = [frame.size for frame in plan_of(stage).volumes[0].frames]
+    assert [size.active_voxels for size in sizes] == [24, 1000, 24, 24]
+    assert [size.most_voxels for size in sizes] == [1000] * 4

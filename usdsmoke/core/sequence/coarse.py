@@ -57,7 +57,7 @@ def coarse_frames(
         config = config.replace(optimize=config.optimize.replace(steps=steps))
     n_frames = len(frames) if isinstance(frames, Sequence) else 0
     context = make_context(
-        styles, _coarse_scene(scene, factor), _coarse_config(config, factor), progress,
+        styles, scene.coarser(factor), _coarse_config(config, factor), progress,
         time_codes_per_second, None, n_frames,
     )  # fmt: skip
     known = known.to(context.device) if known is not None else None
@@ -112,14 +112,6 @@ def _open_coarse(factor: int, frame: VolumeFrame, context: WindowContext) -> Ope
     config = context.config.replace(grids=context.config.grids.replace(refine=1))
     scene = context.scene.without_thickening()
     return open_frame(coarse, dataclasses.replace(context, config=config, scene=scene))
-
-
-def _coarse_scene(scene: Scene, factor: int) -> Scene:
-    return dataclasses.replace(
-        scene,
-        pixel_size=scene.pixel_size * factor,
-        image_size=max(1, round(scene.image_size / factor)),
-    )
 
 
 def _coarse_config(config: Config, factor: int) -> Config:

@@ -171,7 +171,8 @@ def _average(context: WindowContext, frame: ShapedFrame, later: ShapedFrame | No
         return frame
     started, transit = time.perf_counter(), context.transit(frame, later)
     lattice, source = frame.unclamped.lattice, frame.source
-    near = near_smoke(lattice.fill(movable_blocks(source)), lattice, fade_of(source))
+    blocks = movable_blocks(source, frame.scene)
+    near = near_smoke(lattice.fill(blocks), lattice, fade_of(source))
     averaged = average_displacement(frame.unclamped, later.unclamped, transit, share, near)
     report = frame.report.with_transport_time(time.perf_counter() - started)
     return replace(frame, unclamped=averaged, report=report)
@@ -193,7 +194,9 @@ def _move(context: WindowContext, frame: ShapedFrame) -> MovedFrame:
     own = displacement
     if strength < 1:
         own = displacement_of(frame.unclamped, source, limit, frame.mask, strength)
-    density, transport = move_density(frame.density, source, own, config.shape, frame.mask, is_part)
+    density, transport = move_density(
+        frame.density, source, own, frame.scene, config.shape, frame.mask, is_part
+    )
     smoke = activate(density, frame.frame.density_to_stage, context.device)
     if frame.visibility is not None:
         smoke = frame.visibility.visible(smoke)

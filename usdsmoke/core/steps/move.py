@@ -26,6 +26,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke, coarsen
 from usdsmoke.core.smoke.levels import dense_level
 from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.smoke.schedule import MANY_VOXELS
+from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
 
 FADE = 0.02  # of the smoke's extent: sigma of the fade towards the border
@@ -89,9 +90,12 @@ def shares_on(lattice: Lattice, mask: EffectMask | None, like: Tensor) -> Tensor
     return None if mask is None else lattice.on_voxels(mask.at, like).to(like)
 
 
-def movable_blocks(source: ActiveSmoke) -> ActiveSmoke:
-    """What the shape step moves as a whole: voxels, or blocks of two where there are many."""
-    return source if len(source.ijk) < MANY_VOXELS else coarsen(source)
+def movable_blocks(source: ActiveSmoke, scene: Scene) -> ActiveSmoke:
+    """What the shape step moves as a whole: voxels, or blocks of two where the shot has many.
+
+    If each frame were judged by its own voxels, displacement would jump where a shot grows.
+    """
+    return source if scene.most_voxels < MANY_VOXELS else coarsen(source)
 
 
 def displacement_of(
@@ -124,6 +128,7 @@ def move_density(
     density: DenseField,
     source: ActiveSmoke,
     displacement: Displacement,
+    scene: Scene,
     shape: ShapeConfig,
     mask: EffectMask | None = None,
     is_part: bool = False,
@@ -137,6 +142,7 @@ def move_density(
     Args:
         density: the frame's (refined) density; ``source`` holds its active voxels.
         displacement: on the box that ``smoke_box`` gives for the source.
+        scene: of the shot.
         shape: scheme and correction of mass.
         mask: share of the effect; where it is 0 the source stays bit for bit.
         is_part: ``source`` holds only some of the active voxels, and the others are kept.
@@ -154,7 +160,7 @@ def move_density(
     measures: list[Callable[[], Any]] = [  # the longest one first
         partial(measure_evenness, u, box),
         partial(_scheme_error, box, u, moved, scheme),
-        partial(_motionless, source, box, lattice, shape, mask),
+        partial(_motionless, source, scene, box, lattice, shape, mask),
     ]
     evenness, estimate, motionless = run_on(box.device, measures)
 
@@ -263,10 +269,15 @@ def moves_along(lengths: Sequence[int], kind: str) -> bool:
 
 
 def _motionless(
-    source: ActiveSmoke, box: Tensor, lattice: Lattice, shape: ShapeConfig, mask: EffectMask | None
+    source: ActiveSmoke,
+    scene: Scene,
+    box: Tensor,
+    lattice: Lattice,
+    shape: ShapeConfig,
+    mask: EffectMask | None,
 ) -> float:
     """Share of the mass under the mask that no potential can move."""
-    fade, blocks = fade_of(source), movable_blocks(source)
+    fade, blocks = fade_of(source), movable_blocks(source, scene)
     coarse = smoke_box(blocks, fade)
     if not moves_along(coarse.shape, shape.displacement):
         return 1.0

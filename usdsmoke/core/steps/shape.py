@@ -156,7 +156,7 @@ def run_shape_step(
     descent = Descent(rate_share * config.shape.learning_rate, 0, config.optimize.tolerance)
     kind = config.shape.displacement
     n_channels = _n_channels(kind, source)
-    blocks = movable_blocks(source)
+    blocks = movable_blocks(source, problem.scene)
 
     box: MotionBox | None = None
     potential, ends = None, []

@@ -65,6 +65,9 @@ class Scene:
     knee: float = 0.0  # density, of the curve of thickening; 0: density stays as it is
     style_size: float = 1.0  # size of the style, if ``style.size`` is unset
     style_refine: int = 0  # ``grids.refine`` with which that would be less; 0: none is known
+    # Visible voxels of the largest measured frame, refined: they decide what the shape step moves,
+    # in all frames alike
+    most_voxels: int = 0
 
     @property
     def thickening(self) -> Thickening | None:
@@ -74,6 +77,15 @@ class Scene:
     def without_thickening(self) -> "Scene":
         """The scene for smoke that is thickened already."""
         return replace(self, knee=0.0)
+
+    def coarser(self, factor: float) -> "Scene":
+        """The scene for voxels and pixels that are so many times as wide."""
+        return replace(
+            self,
+            pixel_size=self.pixel_size * factor,
+            image_size=max(1, round(self.image_size / factor)),
+            most_voxels=round(self.most_voxels / factor**3),
+        )
 
 
 def _corners(smoke: Placed) -> np.ndarray:
@@ -277,6 +289,7 @@ def measure_scene(
         thick=thick, thick_share=share, widened=longest / near if fine < pixel_size else 1.0,
         hidden=weighted_median([one.hidden_mass(curve, thick) for one in seen], seen),
         stops=stops, thicken=curve.times if curve else 1.0, knee=curve.knee if curve else 0.0,
+        most_voxels=max(_n_refined(part, refine) for part, _, _ in parts),
     )  # fmt: skip
 
 
@@ -320,6 +333,12 @@ def _filled(frames: Sequence[VolumeFrame]) -> list[tuple[Voxels, CameraSource | 
     """Every frame's smoke, where there is any, and its camera."""
     pairs = [(occupied(frame.density, frame.density_to_stage), frame.camera) for frame in frames]
     return [(smoke, camera) for smoke, camera in pairs if not smoke.is_empty]
+
+
+def _n_refined(smoke: Voxels, refine: int) -> int:
+    """Number of voxels after a subdivision, which leaves thin axes alone."""
+    low, high = smoke.box if not smoke.is_empty else (np.zeros(3), np.zeros(3))
+    return len(smoke.ijk) * refine ** int((high > low).sum())
 
 
 def _shortest_edge(smoke: Voxels) -> float:
