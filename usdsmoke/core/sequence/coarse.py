@@ -56,9 +56,10 @@ def coarse_frames(
         steps = [step for step in config.optimize.steps if step != "colour"]
         config = config.replace(optimize=config.optimize.replace(steps=steps))
     n_frames = len(frames) if isinstance(frames, Sequence) else 0
+    coarse = dataclasses.replace(scene.coarser(factor), is_start=True)
     context = make_context(
-        styles, scene.coarser(factor), _coarse_config(config, factor), progress,
-        time_codes_per_second, None, n_frames,
+        styles, coarse, _coarse_config(config, factor), progress, time_codes_per_second, None,
+        n_frames,
     )  # fmt: skip
     known = known.to(context.device) if known is not None else None
     context = dataclasses.replace(context, known=known)

@@ -50,8 +50,8 @@ def warm_iterations(per_octave: Sequence[int], share: float) -> list[int]:
     >>> warm_iterations([60, 50, 40], 0.5)
     [0, 0, 20]
     """
-    finest = max((k for k, n in enumerate(per_octave) if n), default=None)
-    return [max(1, round(n * share)) if k == finest else 0 for k, n in enumerate(per_octave)]
+    finest = last_octave(per_octave)
+    return [max(1, round(n * share)) if n and k == finest else 0 for k, n in enumerate(per_octave)]
 
 
 def network_iterations(per_octave: Sequence[int], n_voxels: int) -> list[int]:
@@ -71,11 +71,16 @@ def network_iterations(per_octave: Sequence[int], n_voxels: int) -> list[int]:
         n_voxels: of the frame's smoke.
     """
     iterations = warm_iterations(per_octave, BEHIND if any(per_octave[:-1]) else 1.0)
-    finest = max((k for k, n in enumerate(iterations) if n), default=0)
+    finest = last_octave(iterations)
     if finest > 0 and n_voxels > MOST_ALIKE:
         iterations[finest - 1] = round(COARSER * iterations[finest])
         iterations[finest] -= iterations[finest - 1]
     return iterations
+
+
+def last_octave(iterations: Sequence[int]) -> int:
+    """The number of the finest octave that has iterations; 0 where none has."""
+    return max((k for k, n in enumerate(iterations) if n), default=0)
 
 
 def network_views(views: ViewsConfig, n_iterations: int) -> int:
@@ -97,6 +102,19 @@ def view_ranges(views: ViewsConfig) -> tuple[float, float]:
     return (
         azimuth if views.azimuth is None else views.azimuth,
         elevation if views.elevation is None else views.elevation,
+    )
+
+
+def all_round(views: ViewsConfig) -> ViewsConfig:
+    """The settings with views all round, as far as their ranges are not set.
+
+    Coarse octaves have some of these beside those around a shot's camera: otherwise smoke has no
+    strokes on its other sides (decision 078).
+    """
+    azimuth, elevation = ALL_ROUND
+    return views.replace(
+        azimuth=azimuth if views.azimuth is None else views.azimuth,
+        elevation=elevation if views.elevation is None else views.elevation,
     )
 
 

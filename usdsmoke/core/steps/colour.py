@@ -19,14 +19,16 @@ from itertools import count
 import torch
 from torch import Tensor
 
+from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colours
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList
 from usdsmoke.core.smoke.noise import white_noise
-from usdsmoke.core.smoke.spread import spread_colours
+from usdsmoke.core.smoke.schedule import all_round, last_octave, pool_size, view_ranges
 from usdsmoke.core.smoke.srgb import encode_srgb, luma
-from usdsmoke.core.steps.colour_rules import ColourRules, find_rules, limit_of, opacity_alone
+from usdsmoke.core.steps.colour_rules import ColourRules, find_rules, limit_of
+from usdsmoke.core.steps.hidden import complete, trust_of
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
@@ -37,9 +39,6 @@ from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import Scene, frame_views
 from usdsmoke.core.views.visibility import EffectMask
 
-# share of a voxel's light in the view that sees most of it, where half of its colour is its
-# neighbourhood's; a mean over views would blur whatever is hidden from the other side
-DIM = 0.1
 FAINT = 2e-4  # share of a pixel's opacity up to which it leaves voxels out: 0.5 % of its light
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
@@ -81,13 +80,17 @@ def run_colour_step(
     start = None if start is None else start.clamp(0, limit_of(problem))
     painted = painted_part(problem)
     colours, before, ends = start, painted, list[Minimum]()
+    widens, last = _widens(config.views), last_octave(iterations)
+    trust = torch.ones_like(painted.density) if widens and start is not None else None
     for number, factor, octave, n_iterations in _octaves(problem, iterations):
         share = _share(octave, mask)
         here = _painted(octave, share)
         if len(here.ijk) == 0:  # the mask is finer than this octave
             continue
-        pool = colour_pool(replace(problem, smoke=octave), factor, config.optimize.seed + number)
+        here_seed, is_wide = config.optimize.seed + number, number != last or scene.is_start
+        pool = colour_pool(replace(problem, smoke=octave), factor, here_seed, is_wide)
         begun = _colours_on(here, before, colours, problem)
+        trust = None if trust is None else _trust_on(here, before, trust)
         told = None if watch is None else partial(watch, number)
         known = begun if warm else None
         rules = find_rules(problem, here, known, octave is smoke and not carried)
@@ -99,13 +102,28 @@ def run_colour_step(
             continue
         ends.append(end)
         if not warm:
-            colours = _completed(pool.drawn(end.iteration + 1), here, colours, share, scene, factor)
+            found = trust_of(pool.drawn(end.iteration + 1), here, share, scene, factor)
+            earlier = None if trust is None else (begun, trust)
+            colours, found = complete(here, colours, found, earlier)
+            trust = found if widens else None
         colours = rules.in_style(colours, known)
         if look is not None and octave is smoke:
             look(pool.drawn(end.iteration + 1), colours)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
         return _changed(painted, start, before, colours).clamp(0, limit_of(problem)), ends
     return _colours_on(painted, before, colours, problem), ends
+
+
+def _widens(views: ViewsConfig) -> bool:
+    """Whether coarse octaves have views from more sides than the finest one."""
+    return view_ranges(all_round(views)) != view_ranges(views)
+
+
+def _trust_on(octave: ActiveSmoke, before: ActiveSmoke, trust: Tensor) -> Tensor:
+    """Trust in the octave before, [N], at the voxels of this one."""
+    if before is octave:
+        return trust
+    return sample_colours(before, trust[:, None], octave.positions)[0][:, 0]
 
 
 def _octaves(
@@ -225,15 +243,25 @@ def painted_part(problem: StepProblem) -> ActiveSmoke:
     return _painted(problem.smoke, _share(problem.smoke, problem.mask))
 
 
-def colour_pool(problem: StepProblem, factor: int, seed: int) -> ViewPool[ColourView]:
+def colour_pool(
+    problem: StepProblem, factor: int, seed: int, is_wide: bool = False
+) -> ViewPool[ColourView]:
     """The views of a problem at 1/factor of full size.
 
     Args:
         problem: its smoke has voxels ``factor`` times as large as the source's.
         seed: of the views.
+        is_wide: half of the views are from all round, where the others are around a camera.
     """
-    views = _octave_views(problem, _share(problem.smoke, problem.mask), factor, seed)
-    return ViewPool(views, problem.config.views.count, seed)
+    smoke, views = problem.smoke, problem.config.views
+    parts = [views]
+    n_wide = pool_size(views, smoke.thin_axis is not None) // 2
+    if is_wide and n_wide and _widens(views):
+        parts = [views.replace(pool=views.pool - n_wide), all_round(views).replace(pool=n_wide)]
+    drawn = [
+        view for part in parts for view in frame_views(smoke, part, problem.scene, seed, factor)
+    ]
+    return ViewPool(_prepared(problem, drawn, factor), views.count, seed)
 
 
 def initial_colours(smoke: ActiveSmoke, init: str, seed: int) -> Tensor:
@@ -251,13 +279,10 @@ def _painted(smoke: ActiveSmoke, share: Tensor | None) -> ActiveSmoke:
     return smoke if share is None else smoke.take(share > 0)
 
 
-def _octave_views(
-    problem: StepProblem, share: Tensor | None, factor: int, seed: int
-) -> Sequence[ColourView]:
-    """The pool of views of one octave, with their content pictures if a loss uses them."""
+def _prepared(problem: StepProblem, views: Sequence[View], factor: int) -> Sequence[ColourView]:
+    """The views of one octave, with their content pictures if a loss uses them."""
     octave, scene, targets = problem.smoke, problem.scene, problem.targets
-    views = frame_views(octave, problem.config.views, scene, seed, factor)
-    lighting = problem.lighting
+    share, lighting = _share(octave, problem.mask), problem.lighting
     plain = prepare_views(octave, views, scene.gamma_w, scene.exposure, share, lighting, FAINT)
     loss = targets.at(factor)
     if not loss.uses_content:
@@ -269,45 +294,6 @@ def _octave_views(
         return replace(view, content=loss.content(picture))
 
     return LazyList(len(views), with_content)
-
-
-def _completed(
-    views: Sequence[ColourView],
-    painted: ActiveSmoke,
-    colours: Tensor,
-    share: Tensor | None,
-    scene: Scene,
-    factor: int,
-) -> Tensor:
-    """Colours [N 3], those of hidden voxels from around them; ``share`` is that of all voxels."""
-    part = None if share is None else share[share > 0]
-    seen = _seen(views, painted, part, scene, factor)
-    return spread_colours(painted, colours, seen**2 / (seen**2 + DIM**2))
-
-
-def _seen(
-    views: Sequence[ColourView],
-    painted: ActiveSmoke,
-    share: Tensor | None,
-    scene: Scene,
-    factor: int,
-) -> Tensor:
-    """The share of each voxel's light that reaches the picture that it reaches best, [N]; >= 0.
-
-    About the transmittance in front of it; 1 is a voxel by itself with nothing in front.
-    """
-    light = _reaching(views[0])
-    for view in views[1:]:
-        light = torch.maximum(light, _reaching(view))
-    alone = opacity_alone(painted, scene) * (painted.voxel_size / (factor * scene.pixel_size)) ** 2
-    alone = alone if share is None else alone * share
-    return light / alone.clamp_min(torch.finfo(light.dtype).tiny)
-
-
-def _reaching(view: ColourView) -> Tensor:
-    """How much of each voxel's colour reaches a picture, [N]; in the dark an albedo hardly does."""
-    weight = view.image.total_weights()
-    return weight if view.light is None else weight * view.light.mean(dim=1).clamp(max=1)
 
 
 def _content_picture(

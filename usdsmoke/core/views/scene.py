@@ -68,6 +68,7 @@ class Scene:
     # Visible voxels of the largest measured frame, refined: they decide what the shape step moves,
     # in all frames alike
     most_voxels: int = 0
+    is_start: bool = False  # of the coarse step: its finest octave is a coarse one of the windows
 
     @property
     def thickening(self) -> Thickening | None:
