@@ -86,8 +86,8 @@ def preview(
 
             - camera: prim path of a Camera; empty takes a front view that just holds the smoke of
               all frames.
-            - frames: timeCodes such as ``1-24``; empty takes the first, the middle and the last,
-              for an animation all, and for a turntable the middle.
+            - frames: timeCodes such as ``1-24``; empty takes the first, the middle and the last
+              that have colours, for an animation all, and for a turntable the middle.
             - allow_missing: leave out requested timeCodes that do not exist.
             - compare: draw the stage without its looks as well.
             - prims: Volume prim paths; None means all.
@@ -150,6 +150,8 @@ def _time_codes(request: PreviewRequest, look: Smoke) -> list[float]:
     config = request.stage_config
     needs_all = bool(config.frames) and not config.allow_missing
     codes = look.readable(look.time_codes, needs_all)
+    if not request.frames and (request.turntable is not None or not request.is_animation):
+        codes = look.coloured(codes)  # a look may hold some frames of a shot
     if request.turntable is not None:
         if not request.frames:
             few = spread(codes)

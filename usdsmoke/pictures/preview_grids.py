@@ -8,9 +8,7 @@ from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import (
     DenseField,
     FieldSource,
-    FrameSource,
     VolumeFrame,
-    VolumeSource,
 )
 from usdsmoke.usd.stage import ComposedVolume
 from usdsmoke.vdb.header import GridHeader, read_header
@@ -46,10 +44,10 @@ def grid_of(source: FieldSource, components: int | None) -> GridHeader:
     return grid
 
 
-def is_filled(volume: VolumeSource, frame: FrameSource) -> bool:
-    """Whether a frame has smoke, as far as its header tells."""
+def is_filled(source: FieldSource, components: int | None) -> bool:
+    """Whether a field has active voxels, as far as its header tells."""
     try:
-        return grid_of(frame.fields[volume.density], 1).active_voxels != 0
+        return grid_of(source, components).active_voxels != 0
     except UsdSmokeError:
         return False  # reported when the frame is drawn
 

@@ -52,8 +52,8 @@ class PreviewRequest:
     stage: StageOrFile  # for a look its root layer, NAME_look.usda
     output: Path  # .png, .exr, .webp, .gif or .mp4
     camera: str = ""  # prim path; "" takes a front view that just holds the smoke of all frames
-    # timeCodes such as 1-24; "" takes the first, the middle and the last, for an animation all, and
-    # for a turntable the middle
+    # timeCodes such as 1-24; "" takes the first, the middle and the last that have colours, for an
+    # animation all, and for a turntable the middle
     frames: str = ""
     allow_missing: bool = False  # leave out requested timeCodes that do not exist
     compare: bool = False  # draw the stage without its looks as well

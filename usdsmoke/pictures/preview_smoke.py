@@ -114,6 +114,16 @@ class Smoke:
                 self._pass_over(volume.prim_path, time_code, error)
         return found
 
+    def coloured(self, time_codes: Sequence[float]) -> list[float]:
+        """The timeCodes at which a Volume has emission or colour; all of them where none has."""
+        return [code for code in time_codes if self._has_colour(code)] or list(time_codes)
+
+    def _has_colour(self, time_code: float) -> bool:
+        sources = [
+            field for item in self.shown(time_code) for field in (item.emission, item.colour)
+        ]
+        return any(field is not None and is_filled(field, None) for field in sources)
+
     def _pass_over(self, prim_path: str, time_code: float, error: UsdSmokeError) -> None:
         self._unread.setdefault(prim_path, {})[time_code] = str(error)
 
@@ -290,7 +300,7 @@ class Smoke:
     def _scene(self, prim_path: str) -> Scene:
         if prim_path not in self._scenes:
             volume = next(item for item in self.whole.volumes if item.prim_path == prim_path)
-            filled = [frame for frame in volume.frames if is_filled(volume, frame)]
+            filled = [f for f in volume.frames if is_filled(f.fields[volume.density], 1)]
             self._scenes[prim_path] = measure_scene(
                 [self._frame(volume, frame) for frame in spread(filled)],
                 self.config.views,

@@ -8,7 +8,7 @@ from PIL import Image
 from pxr import Usd
 
 from tests.fixtures.preview_fixtures import add_camera, look_of_four_frames, pixels
-from tests.fixtures.usd_fixtures import file_hashes
+from tests.fixtures.usd_fixtures import file_hashes, make_look, plume_stage
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.core.smoke.tasks import n_sharing
 from usdsmoke.pictures.preview import preview
@@ -48,6 +48,20 @@ def test_a_turn_shows_the_middle_frame_from_angles_around_the_up_axis(
     front, side, back, other = map(width_of_smoke, pictures)
     assert front / side == pytest.approx(4 / 3, rel=0.15)  # one scale; the box is 4 x 3 x 2
     assert front == pytest.approx(back, abs=2) and side == pytest.approx(other, abs=2)
+
+
+def test_frames_that_a_look_leaves_out_are_shown_only_if_they_are_named(tmp_path: Path) -> None:
+    """A look of frames 1 and 2 of four: the others are grey."""
+    stage, output = plume_stage(tmp_path / "in", (1, 2, 3, 4)), tmp_path / "out"
+    output.mkdir()
+    look = Path(make_look(stage, output, frames="1-2", empty=True).root_stage)
+    file = tmp_path / "a.png"
+    assert preview(look, file, width=16).time_codes == (1, 2)
+    for name in ("a.png", "a.webp"):
+        assert preview(look, tmp_path / name, turntable=4, width=16).time_codes in ((1,), (2,))
+    assert preview(look, tmp_path / "a.webp", width=16).time_codes == (1, 2, 3, 4)
+    assert preview(look, file, frames="3", width=16).time_codes == (3,)
+    assert preview(stage, file, width=16).time_codes == (1, 3, 4)  # no look at all
 
 
 def test_a_turn_as_png_is_a_sheet(look: Path, tmp_path: Path) -> None:

@@ -211,8 +211,8 @@ def _add_preview(commands: Any) -> None:
     )
     add_selection(
         parser,
-        "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (default: the first, the middle and the last; "
-        "all for an animation; the middle for a turntable)",
+        "timeCodes, such as 1-24, 1,5,9 or 1-24x2 (default: the first, the middle and the last "
+        "that have colours; all for an animation; the middle for a turntable)",
     )
     add_set(parser, "a setting of the section 'stage', such as stage.density=fog; may be repeated")
     parser.add_argument(
