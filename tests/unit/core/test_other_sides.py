@@ -1,8 +1,9 @@
-"""What a camera does not see is painted by the coarse octaves, and keeps that."""
+"""What a camera does not see is painted, too, with fewer views."""
 
 import dataclasses
 
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
@@ -12,6 +13,7 @@ from tests.fixtures.smoke_fixtures import frame_of, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, scene_of
 from usdsmoke.core.steps.colour import colour_pool, run_colour_step
 from usdsmoke.core.steps.targets import StepProblem, make_targets
+from usdsmoke.core.views.scene import frame_views
 
 DENSITY = np.ones((24, 24, 10), np.float32)
 CAMERA = looking((11.5, 11.5, 100), (11.5, 11.5, 4.5))
@@ -52,10 +54,30 @@ def test_smoke_before_a_camera_is_painted_behind_too() -> None:
     assert untouched < 0.6 * front < 0.8 * back
 
 
-def test_what_the_coarse_octaves_have_painted_behind_stays() -> None:
-    painted = run_colour_step(problem_of(), [40, 40, 0])[0]
+def test_a_frame_behind_a_neighbour_keeps_what_is_painted_behind() -> None:
+    """It has iterations in the finest octave alone."""
+    painted = run_colour_step(problem_of(), [40, 40, 40])[0]
     _, before = contrast(painted)
-    _, after = contrast(run_colour_step(problem_of(), [0, 0, 40], painted)[0])
-    _, faded = contrast(run_colour_step(problem_of(**NARROW), [0, 0, 40], painted)[0])
-    assert after > 0.95 * before
-    assert faded < 0.85 * before
+    for _ in range(3):
+        painted = run_colour_step(problem_of(), [0, 0, 20], painted, warm=True)[0]
+    assert contrast(painted)[1] > 0.95 * before
+
+
+@pytest.mark.parametrize("is_coarse", [False, True])
+def test_what_the_camera_sees_is_looked_at_more_often(is_coarse: bool) -> None:
+    """By three of four views in the finest octave, by half of them in coarser ones."""
+    pool = colour_pool(problem_of(), 1, 3, is_coarse)
+    n_front = 8 if is_coarse else 12
+    assert len(pool.drawn(99)) == 16 and len(pool.drawn_in_front(99)) == n_front
+    narrow, front = colour_pool(problem_of(**NARROW), 1, 3, is_coarse), problem_of(pool=n_front)
+    assert len(narrow.drawn_in_front(99)) == len(narrow.drawn(99)) == 16
+    wanted = frame_views(front.smoke, front.config.views, front.scene, 3)
+    shapes = [tuple(view.alpha.shape) for view in pool.drawn_in_front(99)]
+    assert shapes == [(view.height, view.width) for view in wanted]
+    aside = [tuple(view.alpha.shape) for view in pool.drawn(99)[n_front:]]
+    assert min(width for _, width in aside) < min(width for _, width in shapes)  # the block's side
+
+
+@pytest.mark.parametrize("views", [{"pool": 1}, {"azimuth": 0.0, "elevation": 0.0}])
+def test_one_view_is_the_cameras(views: dict[str, float]) -> None:
+    assert len(colour_pool(problem_of(**views), 1, 3, True).drawn(9)) == 1

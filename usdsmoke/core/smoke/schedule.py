@@ -108,8 +108,8 @@ def view_ranges(views: ViewsConfig) -> tuple[float, float]:
 def all_round(views: ViewsConfig) -> ViewsConfig:
     """The settings with views all round, as far as their ranges are not set.
 
-    Coarse octaves have some of these beside those around a shot's camera: otherwise smoke has no
-    strokes on its other sides (decision 078).
+    Pools have some of these beside those around a shot's camera: otherwise smoke has no strokes on
+    its other sides (decision 078).
     """
     azimuth, elevation = ALL_ROUND
     return views.replace(

@@ -26,9 +26,9 @@ from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList
 from usdsmoke.core.smoke.noise import white_noise
 from usdsmoke.core.smoke.schedule import all_round, last_octave, pool_size, view_ranges
+from usdsmoke.core.smoke.spread import spread_colours
 from usdsmoke.core.smoke.srgb import encode_srgb, luma
-from usdsmoke.core.steps.colour_rules import ColourRules, find_rules, limit_of
-from usdsmoke.core.steps.hidden import complete, trust_of
+from usdsmoke.core.steps.colour_rules import ColourRules, find_rules, limit_of, opacity_alone
 from usdsmoke.core.steps.optimize import Adam, Descent, Minimum, minimize, minimize_and_mend
 from usdsmoke.core.steps.pictures import ColourView, ViewPool, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
@@ -39,6 +39,11 @@ from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import Scene, frame_views
 from usdsmoke.core.views.visibility import EffectMask
 
+# share of a voxel's light in the view that sees most of it, where half of its colour is its
+# neighbourhood's; a mean over views would blur whatever is hidden from the other side
+DIM = 0.1
+# one of so many views around a camera is from all round, in the finest octave and in coarser ones
+ASIDE, COARSE_ASIDE = 4, 2
 FAINT = 2e-4  # share of a pixel's opacity up to which it leaves voxels out: 0.5 % of its light
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
@@ -69,7 +74,8 @@ def run_colour_step(
         watch: called with the octave and the optimiser's state after every iteration.
         warm: the start is nearly right, such as a neighbour's result: ``colour.warm_rate`` of the
             learning rate, and steps that follow the gradient's size, see ``WARM_EPSILON``.
-        look: called with the views of the octave of the smoke's own voxels, and its colours [N 3].
+        look: called with the views of the octave of the smoke's own voxels, without those of sides
+            that a camera does not see, and its colours [N 3].
         carried: no single voxels stand out in the start, which is a neighbour's or a network's.
 
     Returns:
@@ -80,17 +86,15 @@ def run_colour_step(
     start = None if start is None else start.clamp(0, limit_of(problem))
     painted = painted_part(problem)
     colours, before, ends = start, painted, list[Minimum]()
-    widens, last = _widens(config.views), last_octave(iterations)
-    trust = torch.ones_like(painted.density) if widens and start is not None else None
+    last = last_octave(iterations)
     for number, factor, octave, n_iterations in _octaves(problem, iterations):
         share = _share(octave, mask)
         here = _painted(octave, share)
         if len(here.ijk) == 0:  # the mask is finer than this octave
             continue
-        here_seed, is_wide = config.optimize.seed + number, number != last or scene.is_start
-        pool = colour_pool(replace(problem, smoke=octave), factor, here_seed, is_wide)
+        seed, is_coarse = config.optimize.seed + number, number != last or scene.is_start
+        pool = colour_pool(replace(problem, smoke=octave), factor, seed, is_coarse)
         begun = _colours_on(here, before, colours, problem)
-        trust = None if trust is None else _trust_on(here, before, trust)
         told = None if watch is None else partial(watch, number)
         known = begun if warm else None
         rules = find_rules(problem, here, known, octave is smoke and not carried)
@@ -102,28 +106,13 @@ def run_colour_step(
             continue
         ends.append(end)
         if not warm:
-            found = trust_of(pool.drawn(end.iteration + 1), here, share, scene, factor)
-            earlier = None if trust is None else (begun, trust)
-            colours, found = complete(here, colours, found, earlier)
-            trust = found if widens else None
+            colours = _completed(pool.drawn(end.iteration + 1), here, colours, share, scene, factor)
         colours = rules.in_style(colours, known)
         if look is not None and octave is smoke:
-            look(pool.drawn(end.iteration + 1), colours)
+            look(pool.drawn_in_front(end.iteration + 1), colours)
     if start is not None and colours is not None and before.voxel_size > painted.voxel_size:
         return _changed(painted, start, before, colours).clamp(0, limit_of(problem)), ends
     return _colours_on(painted, before, colours, problem), ends
-
-
-def _widens(views: ViewsConfig) -> bool:
-    """Whether coarse octaves have views from more sides than the finest one."""
-    return view_ranges(all_round(views)) != view_ranges(views)
-
-
-def _trust_on(octave: ActiveSmoke, before: ActiveSmoke, trust: Tensor) -> Tensor:
-    """Trust in the octave before, [N], at the voxels of this one."""
-    if before is octave:
-        return trust
-    return sample_colours(before, trust[:, None], octave.positions)[0][:, 0]
 
 
 def _octaves(
@@ -244,24 +233,31 @@ def painted_part(problem: StepProblem) -> ActiveSmoke:
 
 
 def colour_pool(
-    problem: StepProblem, factor: int, seed: int, is_wide: bool = False
+    problem: StepProblem, factor: int, seed: int, is_coarse: bool = False
 ) -> ViewPool[ColourView]:
-    """The views of a problem at 1/factor of full size.
+    """The views of a problem at 1/factor of full size; some are of the sides that a camera misses.
 
     Args:
         problem: its smoke has voxels ``factor`` times as large as the source's.
         seed: of the views.
-        is_wide: half of the views are from all round, where the others are around a camera.
+        is_coarse: finer octaves follow.
     """
-    smoke, views = problem.smoke, problem.config.views
-    parts = [views]
-    n_wide = pool_size(views, smoke.thin_axis is not None) // 2
-    if is_wide and n_wide and _widens(views):
-        parts = [views.replace(pool=views.pool - n_wide), all_round(views).replace(pool=n_wide)]
-    drawn = [
-        view for part in parts for view in frame_views(smoke, part, problem.scene, seed, factor)
-    ]
-    return ViewPool(_prepared(problem, drawn, factor), views.count, seed)
+    smoke, views, scene = problem.smoke, problem.config.views, problem.scene
+    n_aside = _views_aside(views, smoke.thin_axis is not None, is_coarse)
+    if n_aside == 0:
+        drawn = frame_views(smoke, views, scene, seed, factor)
+    else:
+        parts = views.replace(pool=views.pool - n_aside), all_round(views).replace(pool=n_aside)
+        drawn = [view for part in parts for view in frame_views(smoke, part, scene, seed, factor)]
+    n_front = len(drawn) - n_aside
+    return ViewPool(_prepared(problem, drawn, factor), views.count, seed, n_front)
+
+
+def _views_aside(views: ViewsConfig, is_thin: bool, is_coarse: bool) -> int:
+    """How many views of a pool are from all round, where the others are around a camera."""
+    if view_ranges(all_round(views)) == view_ranges(views):
+        return 0
+    return pool_size(views, is_thin) // (COARSE_ASIDE if is_coarse else ASIDE)
 
 
 def initial_colours(smoke: ActiveSmoke, init: str, seed: int) -> Tensor:
@@ -294,6 +290,45 @@ def _prepared(problem: StepProblem, views: Sequence[View], factor: int) -> Seque
         return replace(view, content=loss.content(picture))
 
     return LazyList(len(views), with_content)
+
+
+def _completed(
+    views: Sequence[ColourView],
+    painted: ActiveSmoke,
+    colours: Tensor,
+    share: Tensor | None,
+    scene: Scene,
+    factor: int,
+) -> Tensor:
+    """Colours [N 3], those of hidden voxels from around them; ``share`` is that of all voxels."""
+    part = None if share is None else share[share > 0]
+    seen = _seen(views, painted, part, scene, factor)
+    return spread_colours(painted, colours, seen**2 / (seen**2 + DIM**2))
+
+
+def _seen(
+    views: Sequence[ColourView],
+    painted: ActiveSmoke,
+    share: Tensor | None,
+    scene: Scene,
+    factor: int,
+) -> Tensor:
+    """The share of each voxel's light that reaches the picture that it reaches best, [N]; >= 0.
+
+    About the transmittance in front of it; 1 is a voxel by itself with nothing in front.
+    """
+    light = _reaching(views[0])
+    for view in views[1:]:
+        light = torch.maximum(light, _reaching(view))
+    alone = opacity_alone(painted, scene) * (painted.voxel_size / (factor * scene.pixel_size)) ** 2
+    alone = alone if share is None else alone * share
+    return light / alone.clamp_min(torch.finfo(light.dtype).tiny)
+
+
+def _reaching(view: ColourView) -> Tensor:
+    """How much of each voxel's colour reaches a picture, [N]; in the dark an albedo hardly does."""
+    weight = view.image.total_weights()
+    return weight if view.light is None else weight * view.light.mean(dim=1).clamp(max=1)
 
 
 def _content_picture(

@@ -36,6 +36,7 @@ class ViewPool(Generic[AnyView]):
     views: Sequence[AnyView]
     n_drawn: int = 1  # in one iteration
     seed: int = 0  # of the order
+    n_front: int | None = None  # views from where the result is looked at, the first; None: all
 
     @property
     def passage(self) -> int:
@@ -53,6 +54,11 @@ class ViewPool(Generic[AnyView]):
     def drawn(self, n_iterations: int) -> list[AnyView]:
         """The views that so many iterations have drawn, each once."""
         return [self.views[number] for number in self._drawn(n_iterations)]
+
+    def drawn_in_front(self, n_iterations: int) -> list[AnyView]:
+        """Those of ``drawn`` from where the result is looked at."""
+        numbers = self._drawn(n_iterations)
+        return [self.views[n] for n in numbers if self.n_front is None or n < self.n_front]
 
     def _drawn(self, n_iterations: int) -> list[int]:
         n, seen = min(self.n_drawn, len(self.views)), set[int]()
