@@ -7,6 +7,8 @@ from usdsmoke.base.sections import ViewsConfig
 # degrees, half the ranges of azimuth and elevation of the views
 ALL_ROUND = (180.0, 20.0)
 AROUND_CAMERA = (12.0, 6.0)
+# of so many views around a camera one is of another side: in the finest octave, in coarser ones
+ASIDE, COARSE_ASIDE = 4, 2
 MOST_ALIKE = 60_000  # voxels: frames with more are learned in fewer iterations
 BEHIND = 0.4  # of the finest octave's iterations: behind a network
 COARSER = 0.75  # of the iterations behind a network: on larger voxels, if there are more
@@ -105,19 +107,6 @@ def view_ranges(views: ViewsConfig) -> tuple[float, float]:
     )
 
 
-def all_round(views: ViewsConfig) -> ViewsConfig:
-    """The settings with views all round, as far as their ranges are not set.
-
-    Pools have some of these beside those around a shot's camera: otherwise smoke has no strokes on
-    its other sides (decision 078).
-    """
-    azimuth, elevation = ALL_ROUND
-    return views.replace(
-        azimuth=azimuth if views.azimuth is None else views.azimuth,
-        elevation=elevation if views.elevation is None else views.elevation,
-    )
-
-
 def has_one_view(views: ViewsConfig, is_thin: bool = False) -> bool:
     """True if smoke is seen from one side only, whatever ``views.pool`` is.
 
@@ -136,3 +125,18 @@ def pool_size(views: ViewsConfig, is_thin: bool = False) -> int:
         is_thin: see ``has_one_view``.
     """
     return 1 if has_one_view(views, is_thin) else views.pool
+
+
+def views_aside(views: ViewsConfig, is_coarse: bool, is_thin: bool = False) -> int:
+    """How many views of a colour step's pool are of the sides that the shot's camera does not see.
+
+    Without them these would be of one colour. Coarse octaves have more of them, at no cost to what
+    the camera sees. A range of azimuth that is set holds for all views.
+
+    Args:
+        is_coarse: finer octaves follow.
+        is_thin: see ``has_one_view``.
+    """
+    if not views.camera or views.azimuth is not None:
+        return 0
+    return pool_size(views, is_thin) // (COARSE_ASIDE if is_coarse else ASIDE)

@@ -19,13 +19,12 @@ from itertools import count
 import torch
 from torch import Tensor
 
-from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, octaves_to_do, sample_colours
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import LazyList
 from usdsmoke.core.smoke.noise import white_noise
-from usdsmoke.core.smoke.schedule import all_round, last_octave, pool_size, view_ranges
+from usdsmoke.core.smoke.schedule import last_octave, views_aside
 from usdsmoke.core.smoke.spread import spread_colours
 from usdsmoke.core.smoke.srgb import encode_srgb, luma
 from usdsmoke.core.steps.colour_rules import ColourRules, find_rules, limit_of, opacity_alone
@@ -42,8 +41,6 @@ from usdsmoke.core.views.visibility import EffectMask
 # share of a voxel's light in the view that sees most of it, where half of its colour is its
 # neighbourhood's; a mean over views would blur whatever is hidden from the other side
 DIM = 0.1
-# one of so many views around a camera is from all round, in the finest octave and in coarser ones
-ASIDE, COARSE_ASIDE = 4, 2
 FAINT = 2e-4  # share of a pixel's opacity up to which it leaves voxels out: 0.5 % of its light
 WARM_EPSILON = 0.3  # of Adam, in units of the first gradients' root mean square: 10 % less temporal
 # error at equal style than with Adam's own steps, of one size everywhere (40 voxels, 16 frames)
@@ -243,21 +240,10 @@ def colour_pool(
         is_coarse: finer octaves follow.
     """
     smoke, views, scene = problem.smoke, problem.config.views, problem.scene
-    n_aside = _views_aside(views, smoke.thin_axis is not None, is_coarse)
-    if n_aside == 0:
-        drawn = frame_views(smoke, views, scene, seed, factor)
-    else:
-        parts = views.replace(pool=views.pool - n_aside), all_round(views).replace(pool=n_aside)
-        drawn = [view for part in parts for view in frame_views(smoke, part, scene, seed, factor)]
-    n_front = len(drawn) - n_aside
-    return ViewPool(_prepared(problem, drawn, factor), views.count, seed, n_front)
-
-
-def _views_aside(views: ViewsConfig, is_thin: bool, is_coarse: bool) -> int:
-    """How many views of a pool are from all round, where the others are around a camera."""
-    if view_ranges(all_round(views)) == view_ranges(views):
-        return 0
-    return pool_size(views, is_thin) // (COARSE_ASIDE if is_coarse else ASIDE)
+    n_aside = views_aside(views, is_coarse, smoke.thin_axis is not None)
+    found = frame_views(smoke, views, scene, seed, factor, n_aside)
+    n_front = len(found) - n_aside
+    return ViewPool(_prepared(problem, found, factor), views.count, seed, n_front)
 
 
 def initial_colours(smoke: ActiveSmoke, init: str, seed: int) -> Tensor:

@@ -9,10 +9,11 @@ import numpy as np
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.volume import CameraSource
-from usdsmoke.core.smoke.schedule import view_ranges
+from usdsmoke.core.smoke.schedule import ALL_ROUND, view_ranges
 
 FIT_MARGIN = 0.02  # of the smoke's own size, on every side of a picture that is fitted to it
 APERTURE_UNIT = 0.1  # of a stage unit: what an orthographic camera's film is measured in
+_GOLDEN = (math.sqrt(5) - 1) / 2
 
 
 @dataclass(frozen=True)
@@ -203,6 +204,18 @@ def sample_angles(config: ViewsConfig, n: int, seed: int) -> np.ndarray:
     else:
         unit = _lattice(n, half, with_middle=config.sampling == "fixed")
     return middle + unit * half
+
+
+def angles_aside(config: ViewsConfig, n: int) -> np.ndarray:
+    """``n`` (azimuth, elevation) pairs in degrees, [n 2], evenly around from the middle's sides.
+
+    Elevations are spread over the range, by steps of the golden ratio.
+    """
+    number = np.arange(1, n + 1)
+    half = ALL_ROUND[1] if config.elevation is None else config.elevation
+    around = config.centre_azimuth + 360.0 * number / (n + 1)
+    above = config.centre_elevation + half * (2 * (number * _GOLDEN % 1) - 1)
+    return np.stack([around, above], axis=1)
 
 
 def draw_views(iteration: int, count: int, pool: int, seed: int) -> list[int]:

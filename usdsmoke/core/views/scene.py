@@ -17,7 +17,7 @@ from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.schedule import pool_size, view_ranges
 from usdsmoke.core.smoke.thicken import Thickening
 from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
-from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
+from usdsmoke.core.views.cameras import View, angles_aside, camera_orbit, orbit_view, sample_angles
 from usdsmoke.core.views.column_depths import (
     SeenSmoke,
     column_percentile,
@@ -160,7 +160,12 @@ def face_view(smoke: Placed, up_axis: str, pixel_size: float) -> View:
 
 
 def frame_views(
-    smoke: "ActiveSmoke", views: ViewsConfig, scene: Scene, seed: int, factor: int = 1
+    smoke: "ActiveSmoke",
+    views: ViewsConfig,
+    scene: Scene,
+    seed: int,
+    factor: int = 1,
+    n_aside: int = 0,
 ) -> list[View]:
     """The pool of views of one frame and octave, each just large enough for the smoke.
 
@@ -170,11 +175,13 @@ def frame_views(
         smoke: determines the images' extent; smoke one voxel thick gets a single face-on view.
         views: angles and their number; ranges of 0 leave one view, whatever the pool's size.
         factor: pixels are this many times the scene's.
+        n_aside: the last so many of the views are evenly from the other sides.
     """
     pixel_size = scene.pixel_size * factor
     if smoke.thin_axis is not None:
         return [face_view(smoke, scene.up_axis, pixel_size)]
-    angles = sample_angles(views, pool_size(views), seed)
+    angles = sample_angles(views, pool_size(views) - n_aside, seed)
+    angles = np.concatenate([angles, angles_aside(views, n_aside)])
     if scene.camera is not None:
         target = _middle(smoke.voxels)
         return [
