@@ -13,6 +13,7 @@ from usdsmoke.core.smoke.schedule import ALL_ROUND, view_ranges
 
 FIT_MARGIN = 0.02  # of the smoke's own size, on every side of a picture that is fitted to it
 APERTURE_UNIT = 0.1  # of a stage unit: what an orthographic camera's film is measured in
+FREE = 60.0  # degrees around a camera's direction, without views of other sides
 _GOLDEN = (math.sqrt(5) - 1) / 2
 
 
@@ -207,13 +208,14 @@ def sample_angles(config: ViewsConfig, n: int, seed: int) -> np.ndarray:
 
 
 def angles_aside(config: ViewsConfig, n: int) -> np.ndarray:
-    """``n`` (azimuth, elevation) pairs in degrees, [n 2], evenly around from the middle's sides.
+    """``n`` (azimuth, elevation) pairs in degrees, [n 2], on the sides that a camera does not see.
 
-    Elevations are spread over the range, by steps of the golden ratio.
+    Azimuths are even, ``FREE`` away from the middle at least; views between would blur what the
+    camera sees. Elevations are spread over the range, by steps of the golden ratio.
     """
     number = np.arange(1, n + 1)
     half = ALL_ROUND[1] if config.elevation is None else config.elevation
-    around = config.centre_azimuth + 360.0 * number / (n + 1)
+    around = config.centre_azimuth + FREE + (360.0 - 2 * FREE) * (number - 0.5) / max(n, 1)
     above = config.centre_elevation + half * (2 * (number * _GOLDEN % 1) - 1)
     return np.stack([around, above], axis=1)
 
