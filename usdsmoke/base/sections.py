@@ -98,7 +98,7 @@ class ViewsConfig(Section):
         request="viewSampling")
     azimuth: float | None = setting(
         None, "half the range of views around the up axis, or around the camera's direction; "
-        "unset: 180, or 12 with a camera",
+        "unset: 180, or 12 with a camera and some views of the other sides",
         ge=0, le=180, unit="degrees", request="azimuth")
     elevation: float | None = setting(
         None, "half the range of views above and below; unset: 20, or 6 with a camera",

@@ -9,7 +9,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
 from usdsmoke.core.sequence.controls import SETTINGS, by_themselves, in_effect, step_iterations
-from usdsmoke.core.smoke.schedule import has_one_view, pool_size
+from usdsmoke.core.smoke.schedule import has_one_view, pool_size, views_aside
 from usdsmoke.core.style.definition import learned_layers, oriented_layers
 from usdsmoke.core.style.layers import content_layers, style_layers, vgg19_layers
 from usdsmoke.planning.copied import REPLACED
@@ -167,7 +167,10 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
         needed.append(f"{count} per iteration, drawn from {n_views}")
         if config.views.camera:
             count = count_text(len(frames), "timeCode")
-            needed.append(f"the camera <{config.views.camera}> at {count}; views are around it")
+            aside = ", some are of other sides" if views_aside(config.views, False) else ""
+            needed.append(
+                f"the camera <{config.views.camera}> at {count}; views are around it{aside}"
+            )
         needed += [*lights_needed(config, frames), *start_needed(config)]
         steps = ["colour"] if by_themselves(config) else config.optimize.steps
         needed += [_step_text(step, config) for step in steps]

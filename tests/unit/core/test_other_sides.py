@@ -13,6 +13,7 @@ from tests.fixtures.smoke_fixtures import frame_of, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, scene_of
 from usdsmoke.core.steps.colour import colour_pool, run_colour_step
 from usdsmoke.core.steps.targets import StepProblem, make_targets
+from usdsmoke.core.views.cameras import angles_aside
 from usdsmoke.core.views.scene import frame_views
 
 DENSITY = np.ones((24, 24, 10), np.float32)
@@ -81,3 +82,11 @@ def test_what_the_camera_sees_is_looked_at_more_often(is_coarse: bool) -> None:
 @pytest.mark.parametrize("views", [{"pool": 1}, {"azimuth": 0.0, "elevation": 0.0}])
 def test_one_view_is_the_cameras(views: dict[str, float]) -> None:
     assert len(colour_pool(problem_of(**views), 1, 3, True).drawn(9)) == 1
+
+
+@pytest.mark.parametrize(("n", "wanted"), [(0, []), (1, [180]), (4, [90, 150, 210, 270])])
+def test_views_aside_are_even_and_away_from_the_camera(n: int, wanted: list[float]) -> None:
+    views = problem_of(centre_azimuth=7.0, elevation=10.0).config.views
+    angles = angles_aside(views, n)
+    assert angles[:, 0] - 7.0 == pytest.approx(wanted)
+    assert (abs(angles[:, 1]) <= 10.0).all() and len(set(angles[:, 1])) == n

@@ -130,8 +130,8 @@ def pool_size(views: ViewsConfig, is_thin: bool = False) -> int:
 def views_aside(views: ViewsConfig, is_coarse: bool, is_thin: bool = False) -> int:
     """How many views of a colour step's pool are of the sides that the shot's camera does not see.
 
-    Without them these would be of one colour. Coarse octaves have more of them, at no cost to what
-    the camera sees. A range of azimuth that is set holds for all views.
+    Without them these would be of one colour. Coarse octaves have more of them: what the camera
+    sees has its marks from the finest one. A range of azimuth that is set holds for all views.
 
     Args:
         is_coarse: finer octaves follow.

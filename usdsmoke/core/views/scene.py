@@ -175,7 +175,7 @@ def frame_views(
         smoke: determines the images' extent; smoke one voxel thick gets a single face-on view.
         views: angles and their number; ranges of 0 leave one view, whatever the pool's size.
         factor: pixels are this many times the scene's.
-        n_aside: the last so many of the views are evenly from the other sides.
+        n_aside: the last so many of the views are from the other sides, see ``angles_aside``.
     """
     pixel_size = scene.pixel_size * factor
     if smoke.thin_axis is not None:
