@@ -136,8 +136,7 @@ def move_density(
     """The full density moved by the accurate scheme, and the errors of that.
 
     The excess of outliers over the dense smoke is moved by the linear scheme, with a mass of its
-    own: a spline through one voxel of 1e6 rings over a dozen voxels around. The errors are those of
-    what is below.
+    own: a spline through a voxel of 1e6 rings over a dozen voxels around. It counts in no error.
 
     Args:
         density: the frame's (refined) density; ``source`` holds its active voxels.

@@ -254,8 +254,7 @@ def measure_scene(
     than an opacity of 0.7, the pictures are exposed to that: the paper divides each by its own
     maximum, after which exposure jumps with the frame.
     With cameras, columns are those that they see, and no pixel is finer than their nearest ones.
-    Remains far from the smoke widen the pictures, but are no columns. ``optics.thicken`` is applied
-    before.
+    Remains far away widen the pictures, but are no columns. ``optics.thicken`` is applied before.
 
     Args:
         frames: sampled over the *whole* shot, so that windows and machines agree.
@@ -274,7 +273,7 @@ def measure_scene(
     whole = [(smoke, camera, smoke.floor) for smoke, camera in filled]
     parts = [(visible_part(s, c, views.camera_margin), c, floor) for s, c, floor in whole]
     shown = [item for item in parts if not item[0].is_empty]
-    visible = [(part, camera) for part, camera, _ in shown]
+    visible = [item[:2] for item in shown]
     shortest = float(np.median([_shortest_edge(smoke) for smoke, _ in filled]))
     pixel_size = _pixel_size(longest, shortest, visible, views, refine)
     fine = _pixel_size(near, shortest, visible, views, refine) if near < longest else pixel_size
