@@ -28,7 +28,13 @@ from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.steps import colour, shape
 from usdsmoke.core.steps.targets import make_targets
-from usdsmoke.core.views.cameras import View, camera_orbit, sample_angles, view_of_camera
+from usdsmoke.core.views.cameras import (
+    View,
+    angles_aside,
+    camera_orbit,
+    sample_angles,
+    view_of_camera,
+)
 from usdsmoke.core.views.project import colour_map
 from usdsmoke.core.views.scene import PICTURE_MARGIN, Scene, frame_views, measure_scene
 
@@ -102,7 +108,12 @@ def picture_loss(
 
 
 def perspective_views(
-    smoke: ActiveSmoke, config: ViewsConfig, scene: Scene, seed: int, factor: int = 1
+    smoke: ActiveSmoke,
+    config: ViewsConfig,
+    scene: Scene,
+    seed: int,
+    factor: int = 1,
+    n_aside: int = 0,
 ) -> list[View]:
     """What ``scene.frame_views`` would be with perspective pictures, of the scene's pixel size at
     the smoke's middle.
@@ -113,7 +124,8 @@ def perspective_views(
     distance = float(np.linalg.norm(target - scene.camera.camera_to_stage[3, :3]))
     focal = distance / (scene.pixel_size * factor)
     views = []
-    for azimuth, elevation in sample_angles(config, config.pool, seed):
+    angles = sample_angles(config, config.pool - n_aside, seed)
+    for azimuth, elevation in np.concatenate([angles, angles_aside(config, n_aside)]):
         view = camera_orbit(scene.camera, float(azimuth), float(elevation), target, 1.0)
         eye = target - distance * view.forward
         away = positions - eye
