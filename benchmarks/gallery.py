@@ -49,19 +49,19 @@ REAL_WIDTH = 111  # voxels across the real plume: all of them
 # degrees of azimuth by kind
 TURNS = {"3-D": (0.0, 90.0), "3-D front": (0.0,), "2-D": (0.0,), "real": (0.0, 90.0),
          "real front": (0.0,)}  # fmt: skip
-NAMES = {"3-D": "example plume", "3-D front": "example plume, as with a camera in front",
+NAMES = {"3-D": "example plume", "3-D front": "example plume, narrow views in front",
          "2-D": "2-D slab",
-         "real": "real plume", "real front": "real plume, as with a camera in front"}  # fmt: skip
+         "real": "real plume", "real front": "real plume, narrow views in front"}  # fmt: skip
 MEASURES = {"patch": "patches", "colour": "colours", "spectrum": "spectrum", "edges": "edges"}
 N_VIEWS = 6
 
 ABOUT = (
     "Styles painted by `examples/styles/paint.py`, with default settings. First row: the style; "
     "the example plume from the front and from the side; the same plume from the front, stylized "
-    "with the views of a camera there. Second row: a 2-D slab and, where its file is, the real "
-    "plume in the same three pictures. [Cameras](stylize.md#cameras) shows what a camera's views "
-    "gain and lose. [Quality and cost](../README.md#quality-and-cost) explains the scores. They "
-    "are from all sides; rows with a camera are scored from the front."
+    "with narrow views from there. Second row: a 2-D slab and, where its file is, the real plume "
+    "in the same three pictures. [Cameras](stylize.md#cameras) shows what narrow views gain and "
+    "lose. [Quality and cost](../README.md#quality-and-cost) explains the scores. They are from "
+    "all sides; rows with narrow views are scored from the front."
 )
 
 

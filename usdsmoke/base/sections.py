@@ -101,7 +101,7 @@ class ViewsConfig(Section):
         "unset: 180, or 12 with a camera and some views of the other sides",
         ge=0, le=180, unit="degrees", request="azimuth")
     elevation: float | None = setting(
-        None, "half the range of views above and below; unset: 20, or 6 with a camera",
+        None, "half the range above and below; unset: 20, or 6 with a camera (20 on other sides)",
         ge=0, le=90, unit="degrees", request="elevation")
     centre_azimuth: float = setting(
         0.0, "middle of the azimuth range; 0 looks along -Z (Y-up), +Y (Z-up) or as the camera "

@@ -111,7 +111,7 @@ class FrameSize:
     mask_box: tuple[int, int, int] = (0, 0, 0)  # voxels of the mask; (0, 0, 0) without one
     visible: float = 1.0  # share of the box that the shot's camera sees
     computed: bool | None = None  # True if it is optimised; None: as optimize.strength implies
-    most_voxels: float = 0.0  # visible ones of the shot's largest frame; 0: its own
+    most_voxels: int = 0  # visible, refined ones of the shot's largest frame; 0: its own
 
     @property
     def is_thin(self) -> bool:
@@ -226,6 +226,11 @@ def _refined(frame: FrameSize, config: Config) -> tuple[int, int]:
     return frame.active_voxels * finer, math.prod(frame.box) * finer
 
 
+def visible_voxels(frame: FrameSize, config: Config) -> int:
+    """Active voxels that the shot's camera sees, after subdivision."""
+    return round(frame.visible * _refined(frame, config)[0])
+
+
 def _refinement(frame: FrameSize, config: Config) -> int:
     """Into how many voxels each one of the file is divided."""
     finer: int = config.grids.refine ** sum(n > 1 for n in frame.box)
@@ -234,8 +239,7 @@ def _refinement(frame: FrameSize, config: Config) -> int:
 
 def _moves_blocks(frame: FrameSize, config: Config) -> bool:
     """Whether the shape step moves blocks of two voxels: a shot's frames all do, or none."""
-    most = max(frame.most_voxels, frame.visible * frame.active_voxels)
-    return most * _refinement(frame, config) >= MANY_VOXELS
+    return max(frame.most_voxels, visible_voxels(frame, config)) >= MANY_VOXELS
 
 
 def _voxels_a_pixel(frame: FrameSize, config: Config) -> int:

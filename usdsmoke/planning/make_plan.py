@@ -30,6 +30,7 @@ from usdsmoke.planning.estimate import (
     estimate_run,
     grid_size,
     training_seconds,
+    visible_voxels,
 )
 from usdsmoke.planning.frames import (
     field_place,
@@ -296,7 +297,7 @@ def _plan_volume(
     copies, reasons = find_copies(volume, [frame.copied for frame in frames], headers, config)
     reasons |= _unnamed_velocities(volume, frames, config)
     planned = VolumePlan(volume, stem, (), windows, config, own.styles, runs, cuts, reasons)
-    most_voxels = max(frame.size.visible * frame.size.active_voxels for frame in frames)
+    most_voxels = max(visible_voxels(frame.size, config) for frame in frames)
     frames = [
         _with_copies(frame, grids, planned.moves_fields, most_voxels)
         for frame, grids in zip(frames, copies, strict=True)
@@ -336,12 +337,11 @@ def _left_beside(
 
 
 def _with_copies(
-    frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: bool, most_voxels: float
+    frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: bool, most_voxels: int
 ) -> FramePlan:
     """The frame with other grids that are copied into its file, and the size of its shot."""
     n_others = sum(grid.components for grid in grids)
-    n_copied = frame.size.n_copied + n_others
-    n_moved = n_others if are_moved else 0
+    n_copied, n_moved = frame.size.n_copied + n_others, n_others if are_moved else 0
     size = replace(frame.size, n_copied=n_copied, n_moved=n_moved, most_voxels=most_voxels)
     return replace(frame, others=grids, size=size)
 

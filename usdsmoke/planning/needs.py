@@ -167,7 +167,9 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
         needed.append(f"{count} per iteration, drawn from {n_views}")
         if config.views.camera:
             count = count_text(len(frames), "timeCode")
-            aside = ", some are of other sides" if views_aside(config.views, False) else ""
+            is_painted = "colour" in config.optimize.steps
+            n_aside = views_aside(config.views, True, _is_thin(frames)) if is_painted else 0
+            aside = ", some of those of the colour step are of other sides" if n_aside else ""
             needed.append(
                 f"the camera <{config.views.camera}> at {count}; views are around it{aside}"
             )

@@ -194,7 +194,7 @@ def without_camera(config: Config, cameras: Sequence[str], is_thin: bool) -> Omi
     one = cameras[0] if len(cameras) == 1 else f"PATH (the stage has {len(cameras)} cameras)"
     return Omission(
         "views of a camera",
-        f"--camera {one} gives clearer marks in its picture, which smear from other sides, and "
+        f"--camera {one} gives clearer marks in its picture and softer ones on other sides, and "
         "stylizes only what it sees",
     )
 

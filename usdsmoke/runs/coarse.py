@@ -61,7 +61,10 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
         weighted, pictures = _with_all_weights(volume), job.pictures(volume)
         size = find_style_size(pictures, scene, weighted)
         refine = _smaller_at(pictures, scene, weighted, size) if size > 1 else 0
-        scene = dataclasses.replace(scene, style_size=size, style_refine=refine)
+        most_voxels = max(frame.size.most_voxels for frame in volume.frames)  # measured or not
+        scene = dataclasses.replace(
+            scene, style_size=size, style_refine=refine, most_voxels=most_voxels
+        )
         if config.colour.target == "albedo" and config.optics.exposure is None:
             from usdsmoke.core.steps.light_share import white_exposure
 

@@ -1,6 +1,7 @@
 """What a camera does not see is painted, too, with fewer views."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,9 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from tests.fixtures.camera_fixtures import looking
+from tests.fixtures.camera_fixtures import looking, seen_by
 from tests.fixtures.smoke_fixtures import frame_of, smoke_of
-from tests.fixtures.stylize_fixtures import quick_config, scene_of
+from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of, unseen_loss
+from usdsmoke.core.steps import colour
 from usdsmoke.core.steps.colour import colour_pool, run_colour_step
 from usdsmoke.core.steps.targets import StepProblem, make_targets
 from usdsmoke.core.views.cameras import angles_aside
@@ -55,13 +57,52 @@ def test_smoke_before_a_camera_is_painted_behind_too() -> None:
     assert untouched < 0.6 * front < 0.8 * back
 
 
-def test_a_frame_behind_a_neighbour_keeps_what_is_painted_behind() -> None:
-    """It has iterations in the finest octave alone."""
-    painted = run_colour_step(problem_of(), [40, 40, 40])[0]
-    _, before = contrast(painted)
-    for _ in range(3):
-        painted = run_colour_step(problem_of(), [0, 0, 20], painted, warm=True)[0]
-    assert contrast(painted)[1] > 0.95 * before
+def test_frames_behind_a_neighbour_are_painted_behind_too() -> None:
+    """They have iterations in the finest octave alone."""
+    behind = problem_of(**NARROW, centre_azimuth=180.0)
+    start = run_colour_step(problem_of(**NARROW), [40, 40, 40])[0]
+    before, after, untouched = (
+        unseen_loss(behind, colours)
+        for colours in (
+            start,
+            run_colour_step(problem_of(), [0, 0, 60], start, warm=True)[0],
+            run_colour_step(problem_of(**NARROW), [0, 0, 60], start, warm=True)[0],
+        )
+    )
+    assert after < 0.9 * before
+    assert untouched > 0.95 * before
+
+
+@pytest.mark.parametrize("is_coarse_step", [False, True])
+def test_all_octaves_but_the_finest_of_a_result_are_coarse(
+    is_coarse_step: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[bool] = []
+
+    def pool(problem: StepProblem, factor: int, seed: int, is_coarse: bool) -> Any:
+        told.append(is_coarse)
+        return colour_pool(problem, factor, seed, is_coarse)
+
+    monkeypatch.setattr(colour, "colour_pool", pool)
+    problem = problem_of()
+    scene = dataclasses.replace(problem.scene, is_coarse_step=is_coarse_step)
+    run_colour_step(dataclasses.replace(problem, scene=scene), [1, 1, 1])
+    assert told == [True, True, is_coarse_step]
+
+
+def test_the_spread_of_views_is_that_of_what_the_camera_sees() -> None:
+    """Other sides have other losses by far."""
+    frame = seen_by(CAMERA, frame_of(DENSITY))
+    found = []
+    for views in ({}, NARROW):
+        config = problem_of(**views).config
+        config = config.with_values(
+            {"optimize.steps": ["colour"], "colour.iterations": [20, 20, 48]}
+        )
+        (result,) = run_core([frame], config, styles=[STRIPES.astype(np.float32)])
+        assert result.report.colour is not None and result.report.colour.view_spread is not None
+        found.append(result.report.colour.view_spread)
+    assert found[0] < 2 * found[1]
 
 
 @pytest.mark.parametrize("is_coarse", [False, True])
@@ -81,12 +122,19 @@ def test_what_the_camera_sees_is_looked_at_more_often(is_coarse: bool) -> None:
 
 @pytest.mark.parametrize("views", [{"pool": 1}, {"azimuth": 0.0, "elevation": 0.0}])
 def test_one_view_is_the_cameras(views: dict[str, float]) -> None:
-    assert len(colour_pool(problem_of(**views), 1, 3, True).drawn(9)) == 1
+    problem = problem_of(**views)
+    wanted = frame_views(problem.smoke, problem.config.views, problem.scene, 3)
+    (found,) = colour_pool(problem, 1, 3, True).drawn(9)
+    assert [tuple(found.alpha.shape)] == [(view.height, view.width) for view in wanted]
+
+
+@pytest.mark.parametrize("views", [{"centre_azimuth": 90.0}, {"centre_elevation": 40.0}])
+def test_a_middle_that_is_set_leaves_no_views_aside(views: dict[str, float]) -> None:
+    assert len(colour_pool(problem_of(**views), 1, 3, True).drawn_in_front(99)) == 16
 
 
 @pytest.mark.parametrize(("n", "wanted"), [(0, []), (1, [180]), (4, [90, 150, 210, 270])])
 def test_views_aside_are_even_and_away_from_the_camera(n: int, wanted: list[float]) -> None:
-    views = problem_of(centre_azimuth=7.0, elevation=10.0).config.views
-    angles = angles_aside(views, n)
-    assert angles[:, 0] - 7.0 == pytest.approx(wanted)
+    angles = angles_aside(problem_of(elevation=10.0).config.views, n)
+    assert angles[:, 0] == pytest.approx(wanted)
     assert (abs(angles[:, 1]) <= 10.0).all() and len(set(angles[:, 1])) == n

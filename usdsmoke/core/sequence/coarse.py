@@ -56,7 +56,7 @@ def coarse_frames(
         steps = [step for step in config.optimize.steps if step != "colour"]
         config = config.replace(optimize=config.optimize.replace(steps=steps))
     n_frames = len(frames) if isinstance(frames, Sequence) else 0
-    coarse = dataclasses.replace(scene.coarser(factor), is_start=True)
+    coarse = dataclasses.replace(scene.coarser(factor), is_coarse_step=True)
     context = make_context(
         styles, coarse, _coarse_config(config, factor), progress, time_codes_per_second, None,
         n_frames,

@@ -28,7 +28,13 @@ from usdsmoke.core.sequence.picture_errors import (
 )
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.memory import run_on
-from usdsmoke.core.smoke.schedule import has_one_view, pool_size, view_ranges
+from usdsmoke.core.smoke.schedule import (
+    has_one_view,
+    last_octave,
+    pool_size,
+    view_ranges,
+    views_aside,
+)
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.smoke.voxels import FLOOR_TIMES
 from usdsmoke.core.steps.colour import FAINT
@@ -36,7 +42,7 @@ from usdsmoke.core.steps.loss_tail import likely_difference, remaining_decrease,
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.pictures import ColourView, grey_view, prepare_views
 from usdsmoke.core.steps.targets import StepProblem
-from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.cameras import View, draw_views, orbit_view
 from usdsmoke.core.views.project import column_map
 from usdsmoke.core.views.scene import frame_views, thick_column
 
@@ -109,7 +115,9 @@ def unseen_views(
         unseen = _views(frame, N_UNSEEN, config.optimize.seed ^ OTHER_SEED, "poisson")
         steps = config.shape if colours is None else config.colour
         seed = config.optimize.seed + len(steps.iterations) - 1
-        again = [] if seen else _spread(_views(frame, n_views or config.views.pool, seed))
+        pool = config.views.replace(pool=n_views or config.views.pool)
+        n_front = pool.pool - (0 if colours is None else views_aside(pool, False))
+        again = [] if seen else _spread(_views(frame, n_front, seed))
         made = [*again, *unseen]
         if colours is None:
             losses = _grey_losses(problem, made)
@@ -208,8 +216,16 @@ def step_report(
     step: str, ends: Sequence[Minimum], frame: OpenedFrame, started: float, n_views: int = 0
 ) -> StepReport:
     """How the octaves of a step ended; ``n_views`` as of ``PaintedFrame``."""
-    views = frame.config.views
-    pool = n_views or pool_size(views, frame.source.thin_axis is not None)
+    views, is_thin = frame.config.views, frame.source.thin_axis is not None
+    pool = n_views or pool_size(views, is_thin)
+    figures = tail_figures(step, ends, pool, views.count)
+    n_aside = views_aside(views.replace(pool=pool), False, is_thin) if step == "colour" else 0
+    if n_aside and ends:  # the other sides differ from what the camera sees more than views do
+        seed = frame.config.optimize.seed + last_octave(frame.config.colour.iterations)
+        n, front = min(views.count, pool), pool - n_aside
+        drawn = [draw_views(k, n, pool, seed) for k in range(len(ends[-1].losses))]
+        losses = [x for x, of in zip(ends[-1].losses, drawn, strict=True) if max(of) < front]
+        figures["view_spread"] = spread_of_mean(losses, front, views.count)
     return StepReport(
         seconds=time.perf_counter() - started,
         loss=tuple(end.smoothed for end in ends),
@@ -217,7 +233,7 @@ def step_report(
         rollbacks=sum(end.rollbacks for end in ends),
         restored=sum(end.restored for end in ends),
         ended=tuple(end.reason for end in ends),
-        **tail_figures(step, ends, pool, views.count),
+        **{name: value for name, value in figures.items() if math.isfinite(value)},
     )
 
 

@@ -131,12 +131,14 @@ def views_aside(views: ViewsConfig, is_coarse: bool, is_thin: bool = False) -> i
     """How many views of a colour step's pool are of the sides that the shot's camera does not see.
 
     Without them these would be of one colour. Coarse octaves have more of them: what the camera
-    sees has its marks from the finest one. A range of azimuth that is set holds for all views.
+    sees has its marks from the finest one. A range of azimuth or a middle that is set leaves them
+    out.
 
     Args:
         is_coarse: finer octaves follow.
         is_thin: see ``has_one_view``.
     """
-    if not views.camera or views.azimuth is not None:
+    is_chosen = views.azimuth is not None or views.centre_azimuth or views.centre_elevation
+    if not views.camera or is_chosen:
         return 0
     return pool_size(views, is_thin) // (COARSE_ASIDE if is_coarse else ASIDE)

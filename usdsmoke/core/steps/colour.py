@@ -89,7 +89,7 @@ def run_colour_step(
         here = _painted(octave, share)
         if len(here.ijk) == 0:  # the mask is finer than this octave
             continue
-        seed, is_coarse = config.optimize.seed + number, number != last or scene.is_start
+        seed, is_coarse = config.optimize.seed + number, number != last or scene.is_coarse_step
         pool = colour_pool(replace(problem, smoke=octave), factor, seed, is_coarse)
         begun = _colours_on(here, before, colours, problem)
         told = None if watch is None else partial(watch, number)

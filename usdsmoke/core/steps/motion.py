@@ -1,7 +1,7 @@
 r"""What moves the smoke of one octave: the flow of a potential's velocity, on blocks of voxels.
 
 A potential on the blocks is derived, clamped to a velocity, and followed for a unit of time. Where
-smoke has many voxels, blocks are at least two of them long (``move.movable_blocks``): motion of
+a shot has many voxels, blocks are at least two of them long (``move.movable_blocks``): motion of
 single ones takes two to three times as long, and hardly brings coloured pictures nearer to the
 style.
 """

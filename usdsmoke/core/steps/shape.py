@@ -10,7 +10,8 @@ Deviations from the reference, each against a fault seen there:
   the border of thick smoke; otherwise a bright rim grows along the border of the moved smoke;
 - the smoke follows the velocity's flow, and folding is penalised: a displacement taken at once
   folds a seventh of a plume of 64 voxels (decision 018);
-- where there are many voxels, blocks of two of them move, and pictures are theirs (decision 038);
+- where a shot has many voxels, blocks of two of them move, and pictures are theirs (decisions 038
+  and 077);
 - outliers of density count as much as the dense smoke: one voxel would own every measure;
 - the guide T is the *source's* silhouette: the optimiser would exploit one that follows the moved
   smoke;

@@ -11,6 +11,7 @@ from usdsmoke.core.generator.levels import Level, make_levels
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.smoke.active import ActiveSmoke, flat_key
 from usdsmoke.core.smoke.noise import white_noise
+from usdsmoke.core.smoke.schedule import view_ranges
 from usdsmoke.core.steps.colour import colour_pool, painted_part, pictures_loss, run_colour_step
 from usdsmoke.core.steps.targets import StepProblem
 
@@ -87,7 +88,9 @@ def judge(problem: StepProblem, whole: StepProblem) -> Canvas:
         whole: the problem itself, or that of which it is a crop.
     """
     seed = problem.config.optimize.seed + HELD_OUT
-    views = problem.config.views.replace(pool=N_JUDGES)
+    views = problem.config.views
+    # a set range leaves out the sides that a camera does not see, whose views all pools share
+    views = views.replace(pool=N_JUDGES, azimuth=view_ranges(views)[0])
     judged = replace(problem, config=problem.config.replace(views=views))
     return Canvas(judged, seed, N_JUDGES, None if whole is problem else whole)
 

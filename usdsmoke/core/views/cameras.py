@@ -210,13 +210,14 @@ def sample_angles(config: ViewsConfig, n: int, seed: int) -> np.ndarray:
 def angles_aside(config: ViewsConfig, n: int) -> np.ndarray:
     """``n`` (azimuth, elevation) pairs in degrees, [n 2], on the sides that a camera does not see.
 
-    Azimuths are even, ``FREE`` away from the middle at least; views between would blur what the
-    camera sees. Elevations are spread over the range, by steps of the golden ratio.
+    Azimuths are even, ``FREE`` away from the camera's direction at least; views between would blur
+    what it sees. Elevations are spread over ``views.elevation``, or that of views all round, by
+    steps of the golden ratio.
     """
     number = np.arange(1, n + 1)
     half = ALL_ROUND[1] if config.elevation is None else config.elevation
-    around = config.centre_azimuth + FREE + (360.0 - 2 * FREE) * (number - 0.5) / max(n, 1)
-    above = config.centre_elevation + half * (2 * (number * _GOLDEN % 1) - 1)
+    around = FREE + (360.0 - 2 * FREE) * (number - 0.5) / max(n, 1)
+    above = half * (2 * (number * _GOLDEN % 1) - 1)
     return np.stack([around, above], axis=1)
 
 

@@ -65,10 +65,10 @@ class Scene:
     knee: float = 0.0  # density, of the curve of thickening; 0: density stays as it is
     style_size: float = 1.0  # size of the style, if ``style.size`` is unset
     style_refine: int = 0  # ``grids.refine`` with which that would be less; 0: none is known
-    # Visible voxels of the largest measured frame, refined: they decide what the shape step moves,
-    # in all frames alike
+    # Visible voxels of the largest frame, refined: they decide what the shape step moves, in all
+    # frames alike. Of those that are measured, or by the plan of all
     most_voxels: int = 0
-    is_start: bool = False  # of the coarse step: its finest octave is a coarse one of the windows
+    is_coarse_step: bool = False  # whose finest octave is a coarse one of the windows
 
     @property
     def thickening(self) -> Thickening | None:
@@ -80,7 +80,7 @@ class Scene:
         return replace(self, knee=0.0)
 
     def coarser(self, factor: float) -> "Scene":
-        """The scene for voxels and pixels that are so many times as wide."""
+        """The scene for voxels and pixels that are so many times as wide; slabs count as less."""
         return replace(
             self,
             pixel_size=self.pixel_size * factor,
