@@ -190,8 +190,10 @@ def half_out(
     )
     found = {}
     for name, camera in (("no camera", None), ("whole", whole), ("half", half)):
-        seen = dataclasses.replace(frame, camera=camera)
-        runs = [run(seen, scene, config) for _ in range(n_runs)]
+        seen, own = dataclasses.replace(frame, camera=camera), config
+        if camera is not None:
+            own = config.with_values({"views.camera": camera.prim_path})  # views are around it
+        runs = [run(seen, scene, own) for _ in range(n_runs)]
         result, seconds = runs[0][0], min(item[1] for item in runs)
         outside = result.report.voxels_outside_camera or 0
         error = picture_loss(result, scene, half, config)
@@ -212,7 +214,8 @@ def near_eye(
         seen = dataclasses.replace(frame, camera=camera)
         found[distance] = {}
         for name, views in (("parallel", frame_views), ("perspective", perspective_views)):
-            result, seconds = run(seen, scene, config, views)
+            own = config.with_values({"views.camera": camera.prim_path})
+            result, seconds = run(seen, scene, own, views)
             found[distance][name] = seconds, picture_loss(result, scene, camera, config)
     return found
 
