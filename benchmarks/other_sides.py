@@ -50,13 +50,23 @@ WAYS = {
     "1 of 4, coarse 1 of 2 (default)": (4, 2, 60.0),
     "the same, from 30 degrees on": (4, 2, 30.0),
 }
+NO_CAMERA = "none: all views all round, without a camera"
 SIDES = (0, 60, 90, 180, 270)  # degrees around the camera's direction
 N_VIEWS, JUDGE_SEED = 6, 777
 
 
 def measure(problem: StepProblem, way: str) -> tuple[float, list[float]]:
-    """CPU seconds of the colour step in one of ``WAYS``, and the losses of ``SIDES``."""
-    fine, coarse, free = WAYS[way]
+    """CPU seconds of the colour step in one of ``WAYS`` or without a camera, and the losses of
+    ``SIDES``.
+    """
+    fine, coarse, free = WAYS.get(way, WAYS["none"])
+    run = problem
+    if way == NO_CAMERA:
+        views = problem.config.views.replace(camera="")
+        run = replace(
+            problem, scene=replace(problem.scene, camera=None),
+            config=problem.config.replace(views=views),
+        )  # fmt: skip
     with ExitStack() as stack:
         for module, name, value in (
             (schedule, "ASIDE", fine),
@@ -65,7 +75,7 @@ def measure(problem: StepProblem, way: str) -> tuple[float, list[float]]:
         ):
             stack.enter_context(mock.patch.object(module, name, value))
         begin = time.process_time()
-        colours, _ = run_colour_step(problem, problem.config.colour.iterations)
+        colours, _ = run_colour_step(run, run.config.colour.iterations)
         seconds = time.process_time() - begin
     return seconds, [_loss(problem, colours, side) for side in SIDES]
 
@@ -125,7 +135,7 @@ def main() -> int:
     options = parser.parse_args()
     name = "real_plume" if (options.data / PLUME_FILE).is_file() else "plume"
     frame = find_scenes([name], options.width, options.data)[0][name]
-    found: dict[str, list[list[float]]] = {way: [] for way in WAYS}
+    found: dict[str, list[list[float]]] = {way: [] for way in (*WAYS, NO_CAMERA)}
     for style, image in _styles(options.styles).items():
         for seed in range(options.seeds):
             problem, first = problem_of(frame, image, seed), None
