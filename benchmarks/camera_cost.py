@@ -27,7 +27,7 @@ from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.steps import colour, shape
-from usdsmoke.core.steps.targets import make_targets
+from usdsmoke.core.steps.targets import find_style_size, make_targets
 from usdsmoke.core.views.cameras import (
     View,
     angles_aside,
@@ -157,6 +157,12 @@ def run(
         shape.frame_views = colour.frame_views = frame_views  # type: ignore[attr-defined]
 
 
+def _measured(frame: VolumeFrame, config: Config) -> Scene:
+    scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+    size = find_style_size([painted_waves()], scene, config)
+    return dataclasses.replace(scene, style_size=size)
+
+
 def without_half(camera: CameraSource, frame: VolumeFrame, margin: float) -> CameraSource:
     """The camera with its film moved to the right until half of the voxels lie outside."""
     smoke = activate(frame.density, frame.density_to_stage, CPU)
@@ -181,13 +187,7 @@ def half_out(
     frame = make_frame(n)
     whole = camera_around(frame, 3.0, azimuth=60.0)
     half = without_half(whole, frame, config.views.camera_margin)
-    scene = measure_scene(
-        [dataclasses.replace(frame, camera=whole)],
-        config.views,
-        config.optics,
-        "Y",
-        config.grids.refine,
-    )
+    scene = _measured(dataclasses.replace(frame, camera=whole), config)
     found = {}
     for name, camera in (("no camera", None), ("whole", whole), ("half", half)):
         seen, own = dataclasses.replace(frame, camera=camera), config
@@ -210,7 +210,7 @@ def near_eye(
     found: dict[float, dict[str, tuple[float, float]]] = {}
     for distance in distances:
         camera = camera_around(frame, distance)
-        scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+        scene = _measured(frame, config)
         seen = dataclasses.replace(frame, camera=camera)
         found[distance] = {}
         for name, views in (("parallel", frame_views), ("perspective", perspective_views)):

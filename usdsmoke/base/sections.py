@@ -113,8 +113,8 @@ class ViewsConfig(Section):
         192, "longer side of the images that are optimised",
         ge=16, le=2048, unit="pixels", request="imageSize")
     camera: str = setting(
-        "", "path of the shot's Camera. Views are taken around its direction, and only smoke that "
-        "it sees is stylized; default: views around the up axis")
+        "", "path of the shot's Camera. Views are taken around its direction, and only smoke in "
+        "its frustum is stylized; default: views around the up axis")
     camera_width: int = setting(
         1920, "width of the shot's image; finer detail is not optimised",
         ge=1, le=65536, unit="pixels")

@@ -225,11 +225,15 @@ def _draw(
     """One picture after the other."""
     done, total = 0, len(smokes) * len(shots)
     for label, smoke in smokes.items():
+        is_blank = True
         for code, of_frame in groupby(shots, key=attrgetter("time_code")):
             shown, media = smoke.shown(code), None
             for shot in of_frame:
                 if media is None or is_uneven(shown):
                     media = smoke.media(shown, shot.view, exposed)
+                is_blank = is_blank and not media
+                if is_blank and label == LOOK and code == shots[-1].time_code:
+                    smoke.refuse_blank()
                 picture = march(media, shot.view, shot.clip)
                 done += 1
                 if progress is not None:

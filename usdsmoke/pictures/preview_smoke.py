@@ -58,7 +58,8 @@ class Smoke:
     notes: dict[str, None] = field(default_factory=dict)  # in the order in which they came
     passed_over: tuple[type[UsdSmokeError], ...] = ()  # errors that leave a Volume out of a frame
     without_file: tuple[float, ...] = ()  # requested, and some Volume lacks its file
-    _unread: dict[str, dict[float, str]] = field(default_factory=dict)  # why, by Volume and time
+    # why, by Volume and time
+    _unread: dict[str, dict[float, UsdSmokeError]] = field(default_factory=dict)
     _scenes: dict[str, Scene] = field(default_factory=dict)
     _drawn: dict[tuple[object, ...], DenseField] = field(default_factory=dict)  # read last
 
@@ -125,7 +126,17 @@ class Smoke:
         return any(field is not None and is_filled(field, None) for field in sources)
 
     def _pass_over(self, prim_path: str, time_code: float, error: UsdSmokeError) -> None:
-        self._unread.setdefault(prim_path, {})[time_code] = str(error)
+        self._unread.setdefault(prim_path, {})[time_code] = error
+
+    def refuse_blank(self) -> None:
+        """Raise why a Volume was left out, if one was: nothing else was there to draw.
+
+        Raises:
+            StageError, GridError: the first reason.
+        """
+        for reasons in self._unread.values():
+            for error in reasons.values():
+                raise error
 
     def _told(self, prim_path: str) -> set[float]:
         """The timeCodes whose density has no file: ``find_volumes`` names them."""

@@ -166,13 +166,7 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
         count = count_text(min(config.views.count, n_views), "view")
         needed.append(f"{count} per iteration, drawn from {n_views}")
         if config.views.camera:
-            count = count_text(len(frames), "timeCode")
-            is_painted = "colour" in config.optimize.steps
-            n_aside = views_aside(config.views, True, _is_thin(frames)) if is_painted else 0
-            aside = ", some of those of the colour step are of other sides" if n_aside else ""
-            needed.append(
-                f"the camera <{config.views.camera}> at {count}; views are around it{aside}"
-            )
+            needed.append(_camera_text(config, frames))
         needed += [*lights_needed(config, frames), *start_needed(config)]
         steps = ["colour"] if by_themselves(config) else config.optimize.steps
         needed += [_step_text(step, config) for step in steps]
@@ -184,6 +178,19 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
         if not is_set and step in config.optimize.steps:
             needed.append(f"extinction of the {step} step, measured on up to three frames")
     return needed
+
+
+def _camera_text(config: Config, frames: Sequence[FramePlan]) -> str:
+    count, is_thin = count_text(len(frames), "timeCode"), _is_thin(frames)
+    text = f"the camera <{config.views.camera}> at {count}; views are around it"
+    coarse, fine = (views_aside(config.views, is_coarse, is_thin) for is_coarse in (True, False))
+    if coarse and "colour" in config.optimize.steps:
+        n_views = pool_size(config.views, is_thin)
+        text += (
+            f", but {fine} of {n_views} of the colour step's (in coarse octaves {coarse}) are of "
+        )
+        text += "other sides; views.azimuth=12 leaves these out"
+    return text
 
 
 def _animated_settings(volumes: Volumes) -> list[str]:

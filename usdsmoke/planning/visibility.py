@@ -195,7 +195,7 @@ def without_camera(config: Config, cameras: Sequence[str], is_thin: bool) -> Omi
     return Omission(
         "views of a camera",
         f"--camera {one} gives clearer marks in its picture and softer ones on other sides, and "
-        "stylizes only what it sees",
+        "stylizes only smoke in its frustum",
     )
 
 

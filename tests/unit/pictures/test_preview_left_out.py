@@ -14,7 +14,12 @@ from tests.fixtures.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.base.errors import AssetNotResolved, DamagedFile, FieldNotFound, StageError
+from usdsmoke.base.errors import (
+    AssetNotResolved,
+    DamagedFile,
+    FieldNotFound,
+    StageError,
+)
 from usdsmoke.pictures.preview import preview
 
 pytestmark = pytest.mark.usefixtures("quick_grids")
@@ -124,3 +129,16 @@ def test_a_damaged_file_leaves_out_its_frame(tmp_path: Path) -> None:
         (tmp_path / f"cache/smoke.{code:04d}.vdb").write_bytes(b"none")
     with pytest.raises(DamagedFile):
         preview(stage, tmp_path / "a.png", width=16)
+
+
+def test_pictures_that_would_be_blank_because_of_damage_are_refused(tmp_path: Path) -> None:
+    """The header is intact: that the voxels are not is found when they are read."""
+    stage = plume_stage(tmp_path, (1,))
+    file = tmp_path / "cache/smoke.0001.vdb"
+    data = file.read_bytes()
+    half = len(data) // 2
+    file.write_bytes(data[:half] + 24 * b"\xff" + data[half + 24 :])
+    for name, turn in (("a.png", None), ("a.webp", 4), ("a.exr", None)):
+        with pytest.raises(DamagedFile):
+            preview(stage, tmp_path / name, width=16, turntable=turn)
+        assert not (tmp_path / name).exists()

@@ -19,7 +19,7 @@ _PARTS = {
         rows.MOTIONLESS,
     ),
     "end of the optimisation": (rows.SHAPE_OPTIMISER, rows.COLOUR_OPTIMISER),
-    "seen from other sides": (rows.VIEW_SAMPLING, rows.UNSEEN_VIEWS),
+    "seen from other views": (rows.VIEW_SAMPLING, rows.UNSEEN_VIEWS),
     "steadiness over time": rows.TEMPORAL,
     "borders of windows": (rows.OVERLAP_DENSITY, rows.OVERLAP_EMISSION),
     "numbers in the files": (rows.STORAGE_DENSITY, rows.STORAGE_EMISSION),
