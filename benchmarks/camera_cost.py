@@ -28,13 +28,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.steps import colour, shape
 from usdsmoke.core.steps.targets import find_style_size, make_targets
-from usdsmoke.core.views.cameras import (
-    View,
-    angles_aside,
-    camera_orbit,
-    sample_angles,
-    view_of_camera,
-)
+from usdsmoke.core.views.cameras import View, camera_orbit, sample_angles, view_of_camera
 from usdsmoke.core.views.project import colour_map
 from usdsmoke.core.views.scene import PICTURE_MARGIN, Scene, frame_views, measure_scene
 
@@ -124,8 +118,7 @@ def perspective_views(
     distance = float(np.linalg.norm(target - scene.camera.camera_to_stage[3, :3]))
     focal = distance / (scene.pixel_size * factor)
     views = []
-    angles = sample_angles(config, config.pool - n_aside, seed)
-    for azimuth, elevation in np.concatenate([angles, angles_aside(config, n_aside)]):
+    for azimuth, elevation in sample_angles(config, config.pool, seed, n_aside):
         view = camera_orbit(scene.camera, float(azimuth), float(elevation), target, 1.0)
         eye = target - distance * view.forward
         away = positions - eye
@@ -147,7 +140,11 @@ def run(
     config: Config,
     views: Callable[..., list[View]] = frame_views,
 ) -> tuple[StylizedFrame, float]:
-    """The stylized frame and the seconds of processor time that it took."""
+    """The stylized frame and the seconds of processor time that it took; a frame's camera has its
+    views.
+    """
+    if frame.camera is not None:
+        config = config.with_values({"views.camera": frame.camera.prim_path})
     shape.frame_views = colour.frame_views = views  # type: ignore[attr-defined]
     try:
         started = time.process_time()
@@ -190,10 +187,8 @@ def half_out(
     scene = _measured(dataclasses.replace(frame, camera=whole), config)
     found = {}
     for name, camera in (("no camera", None), ("whole", whole), ("half", half)):
-        seen, own = dataclasses.replace(frame, camera=camera), config
-        if camera is not None:
-            own = config.with_values({"views.camera": camera.prim_path})  # views are around it
-        runs = [run(seen, scene, own) for _ in range(n_runs)]
+        seen = dataclasses.replace(frame, camera=camera)
+        runs = [run(seen, scene, config) for _ in range(n_runs)]
         result, seconds = runs[0][0], min(item[1] for item in runs)
         outside = result.report.voxels_outside_camera or 0
         error = picture_loss(result, scene, half, config)
@@ -214,8 +209,7 @@ def near_eye(
         seen = dataclasses.replace(frame, camera=camera)
         found[distance] = {}
         for name, views in (("parallel", frame_views), ("perspective", perspective_views)):
-            own = config.with_values({"views.camera": camera.prim_path})
-            result, seconds = run(seen, scene, own, views)
+            result, seconds = run(seen, scene, config, views)
             found[distance][name] = seconds, picture_loss(result, scene, camera, config)
     return found
 

@@ -12,7 +12,6 @@ loss without views aside.
 import argparse
 import sys
 import time
-from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -20,11 +19,10 @@ from unittest import mock
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
 from benchmarks.circumstances import publish, table_page
-from benchmarks.control_scenes import paint_styles
+from benchmarks.control_scenes import style_pixels
 from benchmarks.equal_judge import find_scenes
 from benchmarks.stages import PLUME_FILE
 from usdsmoke.base.resolve import resolve_config
@@ -111,17 +109,6 @@ def problem_of(frame: VolumeFrame, style: np.ndarray, seed: int) -> StepProblem:
     return open_frame(frame, context).colour_problem()
 
 
-def _styles(names: Sequence[str]) -> Mapping[str, np.ndarray]:
-    """Images by name; a name that is no file is a style of our own painting."""
-    painted = paint_styles([name for name in names if not Path(name).is_file()], 512)
-    files = {
-        Path(name).stem: np.asarray(Image.open(name).convert("RGB"), np.float32) / 255
-        for name in names
-        if Path(name).is_file()
-    }
-    return {**painted, **files}
-
-
 def main() -> int:
     """Run the command line; returns the exit code."""
     parser = argparse.ArgumentParser(
@@ -136,16 +123,18 @@ def main() -> int:
     name = "real_plume" if (options.data / PLUME_FILE).is_file() else "plume"
     frame = find_scenes([name], options.width, options.data)[0][name]
     found: dict[str, list[list[float]]] = {way: [] for way in (*WAYS, NO_CAMERA)}
-    for style, image in _styles(options.styles).items():
+    for style in options.styles:
         for seed in range(options.seeds):
-            problem, first = problem_of(frame, image, seed), None
+            problem, first = problem_of(frame, style_pixels(style), seed), None
             for way, runs in found.items():
                 seconds, losses = measure(problem, way)
                 figures = [seconds, *losses]
                 first = first or figures
                 runs.append([a / b for a, b in zip(figures, first, strict=True)])
                 told = " ".join(f"{loss:.3f}" for loss in losses)
-                print(f"{style}, seed {seed}, {way}: {seconds:.1f} s, {told}", flush=True)
+                print(
+                    f"{Path(style).stem}, seed {seed}, {way}: {seconds:.1f} s, {told}", flush=True
+                )
     columns = ["views aside", "CPU time", *(f"{side} degrees" for side in SIDES)]
     rows = [
         f"| {way} | " + " | ".join(f"{x:.3f}" for x in np.mean(runs, axis=0)) + " |"

@@ -233,7 +233,7 @@ def _draw(
                     media = smoke.media(shown, shot.view, exposed)
                 is_blank = is_blank and not media
                 if is_blank and label == LOOK and code == shots[-1].time_code:
-                    smoke.refuse_blank()
+                    smoke.refuse_blank({shot.time_code for shot in shots})
                 picture = march(media, shot.view, shot.clip)
                 done += 1
                 if progress is not None:

@@ -1,7 +1,7 @@
 """The smoke of a preview: which Volumes, which fields, how opaque, where."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
@@ -128,15 +128,16 @@ class Smoke:
     def _pass_over(self, prim_path: str, time_code: float, error: UsdSmokeError) -> None:
         self._unread.setdefault(prim_path, {})[time_code] = error
 
-    def refuse_blank(self) -> None:
-        """Raise why a Volume was left out, if one was: nothing else was there to draw.
+    def refuse_blank(self, time_codes: Collection[float]) -> None:
+        """Raise why a Volume was left out at these, if one was: nothing else was there to draw.
 
         Raises:
             StageError, GridError: the first reason.
         """
-        for reasons in self._unread.values():
-            for error in reasons.values():
-                raise error
+        reasons = (item for found in self._unread.values() for item in found.items())
+        error = next((error for code, error in reasons if code in time_codes), None)
+        if error is not None:
+            raise error
 
     def _told(self, prim_path: str) -> set[float]:
         """The timeCodes whose density has no file: ``find_volumes`` names them."""

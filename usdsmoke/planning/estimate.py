@@ -222,19 +222,13 @@ def _speed(config: Config, threads: int | None = None) -> float:
 
 def _refined(frame: FrameSize, config: Config) -> tuple[int, int]:
     """Active voxels and voxels of the box after subdivision, which leaves thin axes alone."""
-    finer = _refinement(frame, config)
+    finer: int = config.grids.refine ** sum(n > 1 for n in frame.box)
     return frame.active_voxels * finer, math.prod(frame.box) * finer
 
 
 def visible_voxels(frame: FrameSize, config: Config) -> int:
     """Active voxels that the shot's camera sees, after subdivision."""
     return round(frame.visible * _refined(frame, config)[0])
-
-
-def _refinement(frame: FrameSize, config: Config) -> int:
-    """Into how many voxels each one of the file is divided."""
-    finer: int = config.grids.refine ** sum(n > 1 for n in frame.box)
-    return finer
 
 
 def _moves_blocks(frame: FrameSize, config: Config) -> bool:

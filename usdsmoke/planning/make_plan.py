@@ -297,9 +297,10 @@ def _plan_volume(
     copies, reasons = find_copies(volume, [frame.copied for frame in frames], headers, config)
     reasons |= _unnamed_velocities(volume, frames, config)
     planned = VolumePlan(volume, stem, (), windows, config, own.styles, runs, cuts, reasons)
-    most_voxels = max(visible_voxels(frame.size, config) for frame in frames)
+    most = max(visible_voxels(frame.size, config) for frame in frames)
+    frames = [replace(frame, size=replace(frame.size, most_voxels=most)) for frame in frames]
     frames = [
-        _with_copies(frame, grids, planned.moves_fields, most_voxels)
+        _with_copies(frame, grids, planned.moves_fields)
         for frame, grids in zip(frames, copies, strict=True)
     ]
     return replace(planned, frames=tuple(frames), beside=_left_beside(volume, frames[0], headers))
@@ -336,13 +337,11 @@ def _left_beside(
     return tuple(name for name in grids_beside(volume, header) if name not in used)
 
 
-def _with_copies(
-    frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: bool, most_voxels: int
-) -> FramePlan:
-    """The frame with other grids that are copied into its file, and the size of its shot."""
+def _with_copies(frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: bool) -> FramePlan:
+    """The frame with other grids that are copied into its file."""
     n_others = sum(grid.components for grid in grids)
-    n_copied, n_moved = frame.size.n_copied + n_others, n_others if are_moved else 0
-    size = replace(frame.size, n_copied=n_copied, n_moved=n_moved, most_voxels=most_voxels)
+    n_copied = frame.size.n_copied + n_others
+    size = replace(frame.size, n_copied=n_copied, n_moved=n_others if are_moved else 0)
     return replace(frame, others=grids, size=size)
 
 

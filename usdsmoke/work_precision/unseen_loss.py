@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usdsmoke.base.settings import Config
-from usdsmoke.core.smoke.schedule import views_aside
+from usdsmoke.core.smoke.schedule import views_in_front
 from usdsmoke.work_precision.case import Case
 
 if TYPE_CHECKING:
@@ -61,9 +61,7 @@ class UnseenLoss:
 
         config = outcome.config or self._config
         seed = config.optimize.seed + outcome.n_octaves - 1  # of the last octave's pool
-        views = config.views
-        n_aside = views_aside(views, False) if self._step == "colour" else 0
-        views = views.replace(pool=views.pool - n_aside)
+        views = views_in_front(config.views) if self._step == "colour" else config.views
         pool = frame_views(outcome.smoke, views, self._scene, seed)
         used = pool[:: max(1, len(pool) // _N_VIEWS)][:_N_VIEWS]
         ours = [style for style, _ in self._losses(outcome, used)]

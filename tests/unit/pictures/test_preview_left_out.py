@@ -14,12 +14,7 @@ from tests.fixtures.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.base.errors import (
-    AssetNotResolved,
-    DamagedFile,
-    FieldNotFound,
-    StageError,
-)
+from usdsmoke.base.errors import AssetNotResolved, DamagedFile, FieldNotFound, StageError
 from usdsmoke.pictures.preview import preview
 
 pytestmark = pytest.mark.usefixtures("quick_grids")

@@ -34,6 +34,7 @@ from usdsmoke.core.smoke.schedule import (
     pool_size,
     view_ranges,
     views_aside,
+    views_in_front,
 )
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.smoke.voxels import FLOOR_TIMES
@@ -115,9 +116,9 @@ def unseen_views(
         unseen = _views(frame, N_UNSEEN, config.optimize.seed ^ OTHER_SEED, "poisson")
         steps = config.shape if colours is None else config.colour
         seed = config.optimize.seed + len(steps.iterations) - 1
-        pool = config.views.replace(pool=n_views or config.views.pool)
-        n_front = pool.pool - (0 if colours is None else views_aside(pool, False))
-        again = [] if seen else _spread(_views(frame, n_front, seed))
+        views = config.views.replace(pool=n_views or config.views.pool)
+        views = views if colours is None else views_in_front(views)
+        again = [] if seen else _spread(_views(frame, views.pool, seed))
         made = [*again, *unseen]
         if colours is None:
             losses = _grey_losses(problem, made)

@@ -142,3 +142,8 @@ def views_aside(views: ViewsConfig, is_coarse: bool, is_thin: bool = False) -> i
     if not views.camera or is_chosen:
         return 0
     return pool_size(views, is_thin) // (COARSE_ASIDE if is_coarse else ASIDE)
+
+
+def views_in_front(views: ViewsConfig) -> ViewsConfig:
+    """The finest octave's views of the colour step without those aside."""
+    return views.replace(pool=views.pool - views_aside(views, is_coarse=False))

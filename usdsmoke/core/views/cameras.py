@@ -190,8 +190,10 @@ def rigid_axes(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return right, up, -backward
 
 
-def sample_angles(config: ViewsConfig, n: int, seed: int) -> np.ndarray:
+def sample_angles(config: ViewsConfig, n: int, seed: int, n_aside: int = 0) -> np.ndarray:
     """``n`` (azimuth, elevation) pairs in degrees, [n 2], spread over the configured ranges.
+
+    The last ``n_aside`` of them are those of ``angles_aside``.
 
     ``fixed`` and ``uniform`` lay out a lattice (fixed always contains the middle, as its first
     pair), ``poisson`` keeps the most distant of many random candidates, one point after the other,
@@ -201,10 +203,10 @@ def sample_angles(config: ViewsConfig, n: int, seed: int) -> np.ndarray:
     half = np.array(view_ranges(config))
     middle = np.array([config.centre_azimuth, config.centre_elevation])
     if config.sampling == "poisson":
-        unit = _spread_points(n, half, seed)
+        unit = _spread_points(n - n_aside, half, seed)
     else:
-        unit = _lattice(n, half, with_middle=config.sampling == "fixed")
-    return middle + unit * half
+        unit = _lattice(n - n_aside, half, with_middle=config.sampling == "fixed")
+    return np.concatenate([middle + unit * half, angles_aside(config, n_aside)])
 
 
 def angles_aside(config: ViewsConfig, n: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.schedule import pool_size, view_ranges
 from usdsmoke.core.smoke.thicken import Thickening
 from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
-from usdsmoke.core.views.cameras import View, angles_aside, camera_orbit, orbit_view, sample_angles
+from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
 from usdsmoke.core.views.column_depths import (
     SeenSmoke,
     column_percentile,
@@ -180,8 +180,7 @@ def frame_views(
     pixel_size = scene.pixel_size * factor
     if smoke.thin_axis is not None:
         return [face_view(smoke, scene.up_axis, pixel_size)]
-    angles = sample_angles(views, pool_size(views) - n_aside, seed)
-    angles = np.concatenate([angles, angles_aside(views, n_aside)])
+    angles = sample_angles(views, pool_size(views), seed, n_aside)
     if scene.camera is not None:
         target = _middle(smoke.voxels)
         return [
