@@ -199,8 +199,8 @@ def test_the_record_gives_back_versions_settings_views_and_losses(
     """W22: a result that cannot tell what it came from."""
     seen: list[np.ndarray] = []
 
-    def noted(config: ViewsConfig, n: int, seed: int) -> np.ndarray:
-        seen.append(sample_angles(config, n, seed))
+    def noted(config: ViewsConfig, n: int, seed: int, n_aside: int = 0) -> np.ndarray:
+        seen.append(sample_angles(config, n, seed, n_aside))
         return seen[-1]
 
     monkeypatch.setattr("usdsmoke.core.views.scene.sample_angles", noted)
