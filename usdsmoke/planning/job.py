@@ -36,6 +36,7 @@ from usdsmoke.planning.output_folder import (
     resolve_output,
 )
 from usdsmoke.planning.plan import Omission, Plan, VolumePlan
+from usdsmoke.planning.visibility import check_visibility
 from usdsmoke.usd.look import LookFiles, check_asset, look_files
 from usdsmoke.usd.stage import StageOrFile, layer_files, read_source, stage_file
 from usdsmoke.usd.volume_settings import ResolvedVolumes
@@ -176,6 +177,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     inputs = [*files, *(Path(file_path) for file_path in earlier.layers)]
     check_output_folder(output, config.layer.look, inputs, written)
     if fits:  # of a run that has begun, ``OpenRun.check_disk`` looks at the rest
+        check_visibility(plan.volumes)
         check_plan(plan, None if find_run_files(output) else output)
     return Job(request, stage, plan, styles, style_files, output, targets, earlier, files, fits)
 

@@ -1,5 +1,6 @@
 """A shot's camera in plans and runs: from an animated rig on the stage to the written voxels."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from tests.fixtures.usd_fixtures import (
     world,
     write_text,
 )
-from usdsmoke.base.errors import StageError
+from usdsmoke.base.errors import PlanError, StageError
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
@@ -131,6 +132,23 @@ def test_the_plan_tells_what_the_camera_leaves_out(shot: Shot) -> None:
     plain = job_of(shot, "views.camera=").plan
     assert "--camera" in reasons(plain)["views of a camera"]
     assert plan.estimate.seconds < plain.estimate.seconds
+
+
+def test_a_camera_that_sees_no_smoke_is_refused(tmp_path: Path) -> None:
+    away = make_shot(tmp_path, start=90.0)
+    told = rf"</World/smoke> is outside .*<{PATH}> at all timeCodes.*leave views.camera out"
+    with pytest.raises(PlanError, match=told):
+        job_of(away)
+    config = resolve_config([f"views.camera={PATH}"])
+    plan = prepare_job(Request(away.stage, away.style, away.output, config), fits=False).plan
+    assert [text for text in plan.warnings if re.search(told, text)]
+    assert not away.output.exists()
+
+
+def test_a_camera_that_sees_some_frames_is_not_refused(shot: Shot) -> None:
+    assert job_of(shot).plan.warnings == ()
+    with pytest.raises(PlanError, match="timeCodes"):
+        job_of(shot, "stage.frames=2-3")
 
 
 def test_the_plan_names_frames_whose_camera_stands_in_the_smoke(shot: Shot) -> None:
