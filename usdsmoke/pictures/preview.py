@@ -155,12 +155,15 @@ def _time_codes(request: PreviewRequest, look: Smoke) -> list[float]:
     if request.turntable is not None:
         if not request.frames:
             few = spread(codes)
-            return [few[len(few) // 2]]
+            codes = [few[len(few) // 2]]
         if len(codes) > 1:
             raise ConfigError(
                 f"--turntable shows one frame, and --frames selects {len(codes)}. Select one."
             )
-    return codes if request.frames or request.is_animation else spread(codes)
+    elif not request.frames and not request.is_animation:
+        codes = spread(codes)
+    look.note_colourless(codes)
+    return codes
 
 
 def _open(request: PreviewRequest) -> dict[str, Smoke]:

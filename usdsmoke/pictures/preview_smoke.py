@@ -119,6 +119,16 @@ class Smoke:
         """The timeCodes at which a Volume has emission or colour; all of them where none has."""
         return [code for code in time_codes if self._has_colour(code)] or list(time_codes)
 
+    def note_colourless(self, time_codes: Sequence[float]) -> None:
+        """Note which of these are drawn grey, where emission or colour is authored."""
+        grey = [code for code in time_codes if not self._has_colour(code)]
+        fields = (
+            f for code in grey for item in self.shown(code) for f in (item.emission, item.colour)
+        )
+        if any(field is not None for field in fields):
+            codes = name_time_codes(grey)
+            self.notes[f"grey at {codes}: the emission or colour there is empty"] = None
+
     def _has_colour(self, time_code: float) -> bool:
         sources = [
             field for item in self.shown(time_code) for field in (item.emission, item.colour)

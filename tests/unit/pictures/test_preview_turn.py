@@ -59,9 +59,13 @@ def test_frames_that_a_look_leaves_out_are_shown_only_if_they_are_named(tmp_path
     assert preview(look, file, width=16).time_codes == (1, 2)
     for name in ("a.png", "a.webp"):
         assert preview(look, tmp_path / name, turntable=4, width=16).time_codes in ((1,), (2,))
-    assert preview(look, tmp_path / "a.webp", width=16).time_codes == (1, 2, 3, 4)
-    assert preview(look, file, frames="3", width=16).time_codes == (3,)
-    assert preview(stage, file, width=16).time_codes == (1, 3, 4)  # no look at all
+    assert preview(look, file, width=16).notes == ()
+    moving = preview(look, tmp_path / "a.webp", width=16)
+    assert moving.time_codes == (1, 2, 3, 4) and "grey at timeCodes 3,4:" in moving.notes[0]
+    named = preview(look, file, frames="3", width=16)
+    assert named.time_codes == (3,) and "grey at timeCode 3:" in named.notes[0]
+    source = preview(stage, file, width=16)
+    assert source.time_codes == (1, 3, 4) and source.notes == ()  # no look at all
 
 
 def test_a_turn_as_png_is_a_sheet(look: Path, tmp_path: Path) -> None:
