@@ -109,7 +109,8 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
 
 def computed_boxes(volume: VolumePlan) -> list[tuple[int, int, int]]:
     """The boxes of the frames that are optimised, in voxels of their files."""
-    return [frame.size.box for frame in volume.frames if frame.size.computed]
+    sizes = [frame.size for frame in volume.frames]
+    return [size.box for size in sizes if size.computed and size.visible]
 
 
 def _price_of_detail(volume: VolumePlan, parts: int) -> tuple[float, float]:

@@ -142,6 +142,8 @@ def test_a_camera_that_sees_no_smoke_is_refused(tmp_path: Path) -> None:
     config = resolve_config([f"views.camera={PATH}"])
     plan = prepare_job(Request(away.stage, away.style, away.output, config), fits=False).plan
     assert [text for text in plan.warnings if re.search(told, text)]
+    assert not any("grids.refine" in text for text in plan.notes)
+    assert any("grids.refine" in text for text in job_of(away, "views.camera=").plan.notes)
     assert not away.output.exists()
 
 
