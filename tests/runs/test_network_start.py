@@ -155,6 +155,23 @@ def test_frames_start_cold_where_the_network_does_not_suit_them(shot: Shot) -> N
     assert contents(result.root_stage) == contents(cold.root_stage)
 
 
+def test_a_network_alone_that_does_not_suit_the_smoke_is_refused(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Iterations from noise would take many times as long as the plan says."""
+    network = shot.folder / "other.safetensors"
+    network.write_bytes(Generator.new(torch.tensor([0.0, 1.0, 0.0]), 0).to_bytes({}))
+    alone = {"optimize__iterations": 0}
+    told = "other.safetensors does not suit </World/smoke>.*leave optimize.iterations out"
+    with pytest.raises(ConfigError, match=told):
+        run(shot, "out", optimize__start=str(network), **alone)
+    assert not list(shot.folder.glob("out/**/*.vdb")) and not list(shot.folder.glob("out/*.usda"))
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 1)
+    monkeypatch.setattr("usdsmoke.core.generator.network.FAINT", 10.0)  # black and white patches
+    with pytest.raises(ConfigError, match="that was trained on them does not suit"):
+        run(shot, "own", optimize__start="network", **alone)
+
+
 def test_windows_share_a_coarse_step_only_where_the_network_does_not_suit_the_smoke(
     shot: Shot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -207,7 +224,8 @@ def test_a_network_of_the_shot_is_taken_without_iterations_from_noise(
     run(shot, "one", stage__frames="2", **own)
     assert not asked
 
-    other = run(shot, "other", losses__nearest=0.5, **own)
+    start = {"optimize__start": str(file_path)}
+    other = run(shot, "other", losses__nearest=0.5, **start)
     assert len(asked) == 1 and any("does not suit" in text for text in other.warnings)
     bright = np.full((8, 8, 3), 255, np.uint8)
     Image.fromarray(bright).save(shot.folder / "white.png")
@@ -221,11 +239,16 @@ def test_a_network_of_the_shot_is_taken_without_iterations_from_noise(
     kept = ("basis", "loss", "cold_loss")
     worse = Generator.new(torch.tensor([0.0, 1.0, 0.0]), 0)
     file_path.write_bytes(worse.to_bytes({name: notes[name] for name in kept}))
-    result = run(shot, "worse", **own)
+    result = run(shot, "worse", **start)
     assert len(asked) == 3 and any("does not suit" in text for text in result.warnings)
 
     # trained, but never as good as iterations from noise
     poor = {"basis": notes["basis"], "loss": "9", "cold_loss": "8"}
-    file_path.write_bytes(worse.to_bytes(poor))
-    run(shot, "poor", **own)
-    assert len(asked) == 4
+    # and notes that are not what training writes
+    for number, changes in enumerate([{}, {"loss": "x"}, {"cold_loss": ""}, {"loss": "nan"}]):
+        file_path.write_bytes(worse.to_bytes({**poor, **changes}))
+        run(shot, f"poor{number}", **start)
+        assert len(asked) == 4 + number
+    file_path.write_bytes(worse.to_bytes({"basis": notes["basis"]}))
+    run(shot, "bare", **start)
+    assert len(asked) == 8

@@ -43,6 +43,7 @@ from usdsmoke.runs.provenance_record import (
 from usdsmoke.runs.run import Run
 from usdsmoke.runs.run_machine import processor_warnings
 from usdsmoke.runs.sheet import write_contact_sheet
+from usdsmoke.runs.train import network_text
 from usdsmoke.usd.look import author_look, published_runs, result_hashes, shader_hashes
 from usdsmoke.usd.schema import late_note
 from usdsmoke.vdb.blend import blend_fields, blend_frames, relative_difference, tail_weights
@@ -347,11 +348,6 @@ def _exposed(stops: float) -> str:
     return f"its light is too {'dim' if stops > 0 else 'bright'} even {at}. Change its brightness"
 
 
-def _network_text(volume: VolumePlan) -> str:
-    file = volume.config.optimize.start_file
-    return f"the network {Path(file).name}" if file else "the network that was trained on them"
-
-
 def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
     frames: dict[str, list[str]] = {}  # by warning
     for name, report in run.reports.items():
@@ -370,7 +366,7 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
         if volume.config.optics.exposure is None and scene.get("stops")
     ]
     found += [
-        f"the frames of <{volume.source.prim_path}> start cold: {_network_text(volume)} does not "
+        f"the frames of <{volume.source.prim_path}> start cold: {network_text(volume)} does not "
         f"suit them. On one of them, {scene['misfit']}"
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         if scene.get("misfit")

@@ -19,6 +19,7 @@ from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.core.generator.definition import N_ITERATIONS
 from usdsmoke.core.generator.weights import read_notes
+from usdsmoke.core.sequence.controls import network_alone
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.plan import FramePlan, VolumePlan, named_frames
@@ -125,6 +126,7 @@ def record_scenes(opened: OpenRun, tell: RunProgressCallback) -> None:
         tell: called after every iteration of a training.
 
     Raises:
+        ConfigError: frames without iterations would be what a network paints that does not suit.
         GridError, NonFiniteError: see ``FrameReader.read``.
         WriteFailed: the operating system refused.
     """
@@ -148,7 +150,27 @@ def _find_scenes(opened: OpenRun, tell: RunProgressCallback) -> list[dict[str, A
             scene |= _train_own(opened, number, scene, tell)
         elif not known and (words := _try_network(opened, volume, scene)):
             scene["misfit"] = words
+        if not known and scene.get("misfit"):
+            _refuse_alone(volume, scene["misfit"])
     return scenes
+
+
+def _refuse_alone(volume: VolumePlan, misfit: str) -> None:
+    """Raise where frames would be what an unsuitable network paints: with iterations from noise
+    instead, they would take many times as long as planned, and flicker."""
+    if network_alone(volume.config):
+        raise ConfigError(
+            f"{network_text(volume)} does not suit <{volume.source.prim_path}>, and "
+            f"there are no iterations to make up for it (optimize.iterations=0): {misfit}. Train "
+            "one on this shot with 'usdsmoke train', or leave optimize.iterations out; frames then "
+            "start from noise."
+        )
+
+
+def network_text(volume: VolumePlan) -> str:
+    """What a Volume's frames start from, in words."""
+    file = volume.config.optimize.start_file
+    return f"the network {Path(file).name}" if file else "the network that was trained on them"
 
 
 def _train_own(
@@ -200,7 +222,10 @@ def _known_loss(job: Job, volume: VolumePlan, scene: Mapping[str, Any]) -> float
     notes = read_notes(Path(volume.config.optimize.start_file))
     if notes.get(_BASIS) != _basis(job, volume, scene):
         return 0.0
-    loss, cold = float(notes["loss"]), float(notes["cold_loss"])
+    try:
+        loss, cold = float(notes["loss"]), float(notes["cold_loss"])
+    except (KeyError, ValueError):  # notes are not under the file's digest
+        return 0.0
     return min(_ALIKE * loss, cold) if loss <= cold else 0.0
 
 

@@ -290,9 +290,11 @@ def _origin(entry: Mapping[str, Any]) -> str:
 
 def training_text(result: "TrainResult") -> str:
     """A trained network, and how good it is."""
+    is_seen = result.held_out in result.time_codes
+    judged = "the only frame" if is_seen else "which was held out"
     lines = [
         str(result.file),
-        f"  style loss {result.loss:.3g} at timeCode {result.held_out:g}, which was held out; "
+        f"  style loss {result.loss:.3g} at timeCode {result.held_out:g}, {judged}; "
         f"{result.cold_iterations} iterations from noise reach {result.cold_loss:.3g}",
         f"  {result.n_iterations} iterations on {name_time_codes(result.time_codes)}, "
         f"{format_seconds(result.seconds)}",
