@@ -21,6 +21,7 @@ from usdsmoke.pictures.preview_request import PreviewRequest
 
 LOOK, ORIGINAL = "look", "original"
 _MOST_COLUMNS = 6  # of a contact sheet
+_TURN_S = 4.0  # seconds of a turntable: at the rate of a film it is too fast to judge a look
 
 
 @dataclass(frozen=True)
@@ -111,11 +112,12 @@ def write_animation(
 def durations(request: PreviewRequest, codes: Sequence[float], source: StageSource) -> list[int]:
     """How long each picture of an animation stays, milliseconds.
 
-    A frame stays until the next one's timeCode; a picture of a turntable stays for one frame.
+    A frame stays until the next one's timeCode. A turntable takes ``_TURN_S``, whatever the stage's
+    rate and the number of its pictures.
     """
     per_second = source.time_codes_per_second if source.time_codes_per_second > 0 else 24.0
     if request.turntable:
-        gaps = [source.frame_length] * request.turntable
+        gaps = [_TURN_S * per_second / request.turntable] * request.turntable
     else:
         gaps = [after - before for before, after in pairwise(codes)]
         gaps.append(gaps[-1] if gaps else source.frame_length)

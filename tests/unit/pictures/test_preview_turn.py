@@ -43,7 +43,8 @@ def test_a_turn_shows_the_middle_frame_from_angles_around_the_up_axis(
 ) -> None:
     result = preview(look, tmp_path / "turn.webp", turntable=4, size=(80, 60))
     assert result.time_codes == (3,) and result.angles == (0, 90, 180, 270)
-    pictures, _ = animation(tmp_path / "turn.webp")
+    pictures, durations = animation(tmp_path / "turn.webp")
+    assert durations == [1000] * 4  # a turn takes four seconds
     assert [picture.shape for picture in pictures] == [(60, 80, 3)] * 4
     front, side, back, other = map(width_of_smoke, pictures)
     assert front / side == pytest.approx(4 / 3, rel=0.15)  # one scale; the box is 4 x 3 x 2
