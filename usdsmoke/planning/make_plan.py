@@ -118,7 +118,7 @@ def _pays(volume: VolumePlan, cost: CostEstimate, training: float) -> str:
         return f"{takes} and saves no time here"
     n_cold = sum(step_iterations(without.config, "colour"))
     within = count_text(math.ceil(training / saved), "frame")
-    return f"{takes}, saved within {within} (against {n_cold} iterations from noise)"
+    return f"{takes}, saved within {within} like these (against {n_cold} iterations from noise)"
 
 
 def _with_places(
