@@ -35,8 +35,8 @@ ANGLES = (0.0, 90.0)
 SIDE = 64  # pixels of a picture's longer side
 GREY = np.full(3, 0.5, np.float32)  # behind the smoke
 # Another processor changes edges and detail by up to 0.07. A blur with a standard deviation of half
-# a pixel changes edges by -0.17 to -0.20 and detail by -0.23 to -0.25, Gram matrices edges by -0.22.
-# Fewer iterations are not found: a third of them changes less than other seeds do.
+# a pixel changes edges by -0.17 to -0.20 and detail by -0.23 to -0.25, Gram matrices edges by
+# -0.22. Fewer iterations are not found: a third of them changes less than other seeds do.
 LIMITS = {"edges": 0.15, "detail": 0.2, "colours": 0.07}
 
 Picture = tuple[np.ndarray, np.ndarray]  # display-encoded [H W 3] over grey, and its alpha [H W]
