@@ -111,7 +111,11 @@ def test_each_volume_is_seen_through_the_camera_it_asks_for(tmp_path: Path) -> N
         rel field:density = </World/{name}/density>
         {density_prim(sequence([1]))}
     }}
-    def Camera "{name}_camera" {{}}
+    def Camera "{name}_camera"
+    {{
+        double3 xformOp:translate = (0, 0, 100)
+        uniform token[] xformOpOrder = ["xformOp:translate"]
+    }}
 """
         for name, camera in (
             ("near", "rel usdSmoke:request:camera = </World/near_camera>"),
