@@ -22,6 +22,7 @@ from usdsmoke.base.settings import Config
 from usdsmoke.pipeline import Request, plan_request
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
+from usdsmoke.planning.visibility import check_visibility
 
 FIRST_LINE = "# Written by 'usdsmoke submit', which replaces it; change the copy that is submitted."
 _LONGEST_NAME = 128  # characters of a job's name
@@ -240,6 +241,7 @@ def submit(
     _check_program(command)
     request = request.with_config(_with_absolute_files(request.config)).settled()
     job = prepare_job(request, fits=False)
+    check_visibility(job.plan.volumes)
     folder = Path(request.output)
     target = Path(template).absolute() if template is not None else folder / "job/template.yaml"
     images = [str(image) for image in job.style_files]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from usdsmoke.pipeline import Request, plan_with_notes, run_coarse, run_window
 from usdsmoke.planning.job import Job, prepare_job
 from usdsmoke.planning.plan import Plan
+from usdsmoke.planning.visibility import check_visibility
 from usdsmoke.runs.delivery import check_delivery
 from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.opening import find_growth, frames_again, refuse_result
@@ -54,11 +55,13 @@ def divide_run(request: Request, planned: Callable[[Plan], None] | None = None) 
         planned: called once with the plan.
 
     Raises:
+        PlanError: a camera sees none of the smoke.
         OutputExists: a finished result is in the way.
     """
     job = prepare_job(request, fits=False)
     if planned is not None:
         planned(plan_with_notes(job))
+    check_visibility(job.plan.volumes)
     return divide_job(job)
 
 

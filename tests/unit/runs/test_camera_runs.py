@@ -21,6 +21,7 @@ from usdsmoke.base.errors import PlanError, StageError
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
+from usdsmoke.farm import submit
 from usdsmoke.planning.estimate import FrameSize, estimate_run
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
@@ -142,6 +143,8 @@ def test_a_camera_that_sees_no_smoke_is_refused(tmp_path: Path) -> None:
     config = resolve_config([f"views.camera={PATH}"])
     plan = prepare_job(Request(away.stage, away.style, away.output, config), fits=False).plan
     assert [text for text in plan.warnings if re.search(told, text)]
+    with pytest.raises(PlanError, match=told):  # before a queue starts a hundred tasks
+        submit(Request(away.stage, away.style, away.output, config))
     assert not any("grids.refine" in text for text in plan.notes)
     assert any("grids.refine" in text for text in job_of(away, "views.camera=").plan.notes)
     assert not away.output.exists()
