@@ -24,6 +24,7 @@ from benchmarks.coherence_runs import (
     simulate_plume,
     some_frames,
 )
+from usdsmoke.base.resolve import resolve_config
 
 __all__ = [
     "ALONE",
@@ -42,7 +43,11 @@ __all__ = [
 ]
 
 ALONE, LONGER, WINDOWS = "alone", "alone for longer", "windows"
-_TWICE = ("shape.iterations=[80,40,60]", "colour.iterations=[100,100,130]")  # the default's
+_DEFAULTS = resolve_config()
+_TWICE = tuple(
+    f"{step}.iterations={[2 * n for n in getattr(_DEFAULTS, step).iterations]}".replace(" ", "")
+    for step in ("shape", "colour")
+)
 # What the ways to stylize a sequence change from the defaults. One way has a setting of each step:
 # displacements do not depend on those of colour.
 WAYS: Mapping[str, Sequence[str]] = {
