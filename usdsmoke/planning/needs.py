@@ -360,7 +360,7 @@ def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
     if empty := [frame for frame in volume.frames if frame.is_empty]:
         what = f"pictures and features at {_time_codes(empty)}"
         found.append((what, "the frames are empty"))
-    filled = [frame for frame in volume.frames if not frame.is_empty]
+    filled = volume.filled
     if filled and all(1 in frame.size.box for frame in filled):
         found.append(("everything three-dimensional", "the volume is one voxel thick"))
     n_box = sum(frame.size.box[0] * frame.size.box[1] * frame.size.box[2] for frame in filled)

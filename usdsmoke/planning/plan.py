@@ -77,6 +77,11 @@ class VolumePlan:
         return f"the request of <{self.source.prim_path}>: {', '.join(found)}" if found else ""
 
     @property
+    def filled(self) -> list[FramePlan]:
+        """The frames that hold smoke."""
+        return [frame for frame in self.frames if not frame.is_empty]
+
+    @property
     def moves_fields(self) -> bool:
         """Whether copied fields move with the density."""
         return self.config.layer.move_fields and "shape" in self.config.optimize.steps
@@ -169,11 +174,7 @@ class Plan:
         Raises:
             PlanError: there is no smoke in any frame.
         """
-        filled = [
-            (volume, frames)
-            for volume in self.volumes
-            if (frames := [frame for frame in volume.frames if not frame.is_empty])
-        ]
+        filled = [(volume, frames) for volume in self.volumes if (frames := volume.filled)]
         if not filled:
             raise PlanError(
                 f"no selected frame of {self.source.file_path} holds smoke. Choose other frames "

@@ -254,7 +254,7 @@ def _few_pixels(volume: VolumePlan) -> list[str]:
 
 def _unlike_voxels(volume: VolumePlan) -> list[str]:
     """Frames whose voxels have quite another size, as after a wrong unit or scale."""
-    sizes = {f.source.time_code: voxel_size(volume, f) for f in volume.frames if not f.is_empty}
+    sizes = {f.source.time_code: voxel_size(volume, f) for f in volume.filled}
     known = {code: size for code, size in sizes.items() if size > 0}
     if not known:
         return []
@@ -292,8 +292,7 @@ def _far_away(volume: VolumePlan) -> list[str]:
     """Smoke so far from the origin that its voxels' places are rounded."""
     lost = {
         frame.source.time_code: rounding(frame.source.fields[volume.source.density], frame.grid)
-        for frame in volume.frames
-        if not frame.is_empty
+        for frame in volume.filled
     }
     codes = [code for code, share in lost.items() if share > _ROUNDED]
     if not codes:
@@ -307,7 +306,7 @@ def _far_away(volume: VolumePlan) -> list[str]:
 
 def _extreme_voxels(volume: VolumePlan) -> list[str]:
     """Voxels whose sizes lead beyond the range of 32-bit floats."""
-    sizes = {f.source.time_code: voxel_size(volume, f) for f in volume.frames if not f.is_empty}
+    sizes = {f.source.time_code: voxel_size(volume, f) for f in volume.filled}
     codes = [code for code, size in sizes.items() if size and not _SIZES[0] < size < _SIZES[1]]
     if not codes:
         return []

@@ -79,7 +79,7 @@ def voxel_size(volume: VolumePlan, frame: FramePlan) -> float:
 def detail_remarks(volume: VolumePlan) -> list[str]:
     """That a camera is too far away for strokes, or that finer voxels make them sharper."""
     config, pixels = volume.config, float(volume.config.views.image_size)
-    filled = _filled(volume)
+    filled = volume.filled
     if config.views.camera:
         across = _pixels_across(config, volume, filled)
         if across < _FEWEST:
@@ -204,7 +204,7 @@ def without_camera(config: Config, cameras: Sequence[str], is_thin: bool) -> Omi
 def invisible_parts(config: Config, volume: VolumePlan) -> list[Omission]:
     """What the camera does not see or resolve."""
     omitted, where = [], f"of <{volume.source.prim_path}>"
-    filled = _filled(volume)
+    filled = volume.filled
     outside = [frame for frame in filled if frame.size.visible == 0]
     if outside:
         codes = name_time_codes(frame.source.time_code for frame in outside)
@@ -236,7 +236,7 @@ def unseen_warnings(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
         f"<{volume.config.views.camera}> at all timeCodes: nothing of it is stylized. Check where "
         "the camera looks, its clippingRange and the timeCodes, or leave views.camera out."
         for volume in volumes
-        if (frames := _filled(volume)) and not any(frame.size.visible for frame in frames)
+        if (frames := volume.filled) and not any(frame.size.visible for frame in frames)
     )
 
 
@@ -247,13 +247,8 @@ def check_visibility(volumes: Sequence[VolumePlan]) -> None:
         PlanError: with the camera and each Volume.
     """
     texts = unseen_warnings(volumes)
-    if texts and not any(frame.size.visible for volume in volumes for frame in _filled(volume)):
+    if texts and not any(frame.size.visible for volume in volumes for frame in volume.filled):
         raise PlanError(" ".join(texts))
-
-
-def _filled(volume: VolumePlan) -> list[FramePlan]:
-    """The frames that have smoke."""
-    return [frame for frame in volume.frames if not frame.is_empty]
 
 
 def _box_points(density: FieldSource, grid: GridHeader) -> tuple[np.ndarray, np.ndarray] | None:

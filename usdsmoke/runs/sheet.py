@@ -47,7 +47,7 @@ _Labelled = tuple[str, np.ndarray]  # a picture and its name
 
 def sample_frames(volume: VolumePlan, count: int = 3) -> list[FramePlan]:
     """At most ``count`` frames with smoke, spread from the first to the last; in order."""
-    return spread([frame for frame in volume.frames if not frame.is_empty], count)
+    return spread(volume.filled, count)
 
 
 def write_contact_sheet(

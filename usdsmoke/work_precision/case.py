@@ -136,7 +136,7 @@ class Case:
 
     def neighbours(self, n_frames: int) -> list[FramePlan]:
         """The frame with those around it, in order, without empty ones: so many at most."""
-        frames = [frame for frame in self.volume.frames if not frame.is_empty]
+        frames = self.volume.filled
         place = next(n for n, frame in enumerate(frames) if frame is self.plan)
         first = max(0, min(place - n_frames // 2, len(frames) - n_frames))
         return frames[first : first + n_frames]
