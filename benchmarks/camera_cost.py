@@ -27,10 +27,11 @@ from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.steps import colour, shape
-from usdsmoke.core.steps.targets import find_style_size, make_targets
+from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.views.cameras import View, camera_orbit, sample_angles, view_of_camera
 from usdsmoke.core.views.project import colour_map
 from usdsmoke.core.views.scene import PICTURE_MARGIN, Scene, frame_views, measure_scene
+from usdsmoke.pictures import find_style_size
 
 __all__ = ["camera_around", "half_out", "main", "near_eye", "picture_loss"]
 
@@ -156,7 +157,7 @@ def run(
 
 def _measured(frame: VolumeFrame, config: Config) -> Scene:
     scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
-    size = find_style_size([painted_waves()], scene, config)
+    size = find_style_size([painted_waves()], scene.voxels, config)
     return dataclasses.replace(scene, style_size=size)
 
 

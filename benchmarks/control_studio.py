@@ -17,9 +17,9 @@ from benchmarks.splats import display_picture, grey_picture, render_view
 from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
-from usdsmoke.core.steps.targets import find_style_size
 from usdsmoke.core.style.losses import StyleTarget
 from usdsmoke.core.views.scene import Scene, measure_scene
+from usdsmoke.pictures import find_style_size
 
 __all__ = ["Grid", "Look", "Panel", "Studio", "draw_grid", "save_grid"]
 
@@ -136,7 +136,7 @@ class Studio:
         config = resolve_config([*self._settings[kind], *settings])
         scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
         images = [self.styles[style]]
-        scene = replace(scene, style_size=find_style_size(images, scene, config))
+        scene = replace(scene, style_size=find_style_size(images, scene.voxels, config))
         with _guidance(guided):
             (stylized,) = stylize_window([frame], images, scene, config)
         return Look(stylized, scene, frame)

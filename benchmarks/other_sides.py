@@ -31,9 +31,10 @@ from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.smoke import schedule
 from usdsmoke.core.smoke.voxels import occupied
 from usdsmoke.core.steps.colour import colour_pool, pictures_loss, run_colour_step
-from usdsmoke.core.steps.targets import StepProblem, find_style_size
+from usdsmoke.core.steps.targets import StepProblem
 from usdsmoke.core.views import cameras
 from usdsmoke.core.views.scene import measure_scene
+from usdsmoke.pictures import find_style_size
 
 __all__ = ["WAYS", "main", "measure"]
 
@@ -104,7 +105,7 @@ def problem_of(frame: VolumeFrame, style: np.ndarray, seed: int) -> StepProblem:
         {"views": {"camera": "/camera"}, "optimize": {"seed": seed, "steps": ["colour"]}}
     )
     scene = measure_scene([frame], config.views, config.optics, "Y", 1)
-    scene = replace(scene, style_size=find_style_size([style], scene, config))
+    scene = replace(scene, style_size=find_style_size([style], scene.voxels, config))
     context = make_context([style], scene, config, None, 24.0, None, 1)
     return open_frame(frame, context).colour_problem()
 

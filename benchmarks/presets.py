@@ -22,9 +22,9 @@ from benchmarks.style_scores import stylize_in_child
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.core.smoke.schedule import view_ranges
-from usdsmoke.core.steps.targets import find_style_size, make_targets
+from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.views.scene import measure_scene
-from usdsmoke.pictures import read_style_image
+from usdsmoke.pictures import find_style_size, read_style_image
 
 __all__ = ["main", "unseen_loss"]
 
@@ -72,7 +72,7 @@ def unseen_loss(
     frame = VolumeFrame(0.0, result.density, result.to_stage)
     optics = config.optics.replace(thicken=1.0)  # the smoke as it is
     scene = measure_scene([frame], config.views, optics, result.up_axis, 1)
-    scene = replace(scene, style_size=find_style_size([style], scene, config))
+    scene = replace(scene, style_size=find_style_size([style], scene.voxels, config))
     loss = make_targets([style], scene, config, torch.device("cpu")).at(1)
     found = []
     for angles in held_out_angles(n_views, *(ranges or view_ranges(config.views))):

@@ -36,6 +36,7 @@ from usdsmoke.planning.output_folder import (
     resolve_output,
 )
 from usdsmoke.planning.plan import Omission, Plan, VolumePlan
+from usdsmoke.planning.remarks import fine_marks_remarks
 from usdsmoke.planning.visibility import check_visibility
 from usdsmoke.usd.look import LookFiles, check_asset, look_files
 from usdsmoke.usd.stage import StageOrFile, layer_files, read_source, stage_file
@@ -167,9 +168,13 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
         check_asset(stage)
     # The plan, and the files of its result.
     plan = _plan(source, config, resolved, earlier)
-    plan = dataclasses.replace(
-        plan, notes=(*plan.notes, *(style.note for style in styles if style.note))
-    )
+    fine_marks = [
+        text
+        for volume in plan.volumes
+        for text in fine_marks_remarks(volume, [styles[place].pixels for place in volume.styles])
+    ]
+    of_styles = filter(None, (style.note for style in styles))
+    plan = dataclasses.replace(plan, notes=(*plan.notes, *fine_marks, *of_styles))
     targets = look_files(source, output, config.layer)
     files = _read_files(layer_files(stage), source, resolved)
     placed = [output / volume.file_of(f) for volume in plan.volumes for f in volume.frames]

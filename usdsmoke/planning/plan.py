@@ -82,6 +82,15 @@ class VolumePlan:
         return [frame for frame in self.frames if not frame.is_empty]
 
     @property
+    def with_all_weights(self) -> Config:
+        """The settings, with the greatest weight that each style image has in any frame."""
+        style = self.config.style
+        own = tuple(style.weights) or (1.0,) * len(self.styles)
+        found = {frame.source.controls.style_weights or own for frame in self.frames}
+        greatest = [max(weights) for weights in zip(*found, strict=True)]
+        return self.config.replace(style=style.replace(weights=greatest))
+
+    @property
     def moves_fields(self) -> bool:
         """Whether copied fields move with the density."""
         return self.config.layer.move_fields and "shape" in self.config.optimize.steps

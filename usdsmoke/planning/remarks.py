@@ -16,12 +16,15 @@ from usdsmoke.base.time_codes import (
     parse_frames,
     select_frames,
 )
+from usdsmoke.pictures import find_style_size, refine_for_less
 from usdsmoke.planning.materials import lights_remark
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.planning.visibility import (
+    MOST_REFINED,
     computed_boxes,
     detail_remarks,
     is_inside,
+    price_of_detail,
     rounding,
     share_within,
     voxel_size,
@@ -35,6 +38,7 @@ EXTREME_RATE = 10.0
 _HEAVY = 1000.0  # of a loss beside the style's: with as much hardly any strokes are left
 _FEW_PIXELS = 32  # of a picture
 _UNLIKE = 4.0  # times the usual voxel: a shot may change its resolution by a factor of 2
+_FEWEST_VOXELS = 16  # along the longest side: fewer hold no marks of any size
 _FEWEST_PIXELS = 16  # of a repetition of the style: fewer hold no strokes
 _WITHIN = 0.5  # of a box: less is neighbours that touch
 _ROUNDED = 1e-3  # of a voxel: 1e-3 changes the extinction of a puff by 3 %, 1 by 18 %
@@ -73,6 +77,29 @@ def list_remarks(volumes: Sequence[VolumePlan]) -> tuple[str, ...]:
 def measured_remarks(volumes: Sequence[VolumePlan]) -> list[str]:
     """What is said where scenes are measured on some of the timeCodes."""
     return [text for volume in volumes for text in _part(volume)]
+
+
+def fine_marks_remarks(volume: VolumePlan, styles: Sequence[np.ndarray]) -> list[str]:
+    """That a style will be enlarged, because its marks are too fine for the box of the smoke.
+
+    Args:
+        styles: display-encoded images [H W 3] in [0, 1], the Volume's.
+    """
+    longest = _longest(volume)
+    if longest < _FEWEST_VOXELS:
+        return []
+    config = volume.with_all_weights
+    size = find_style_size(styles, longest, config)
+    if size == 1:
+        return []
+    refine, advice = refine_for_less(styles, longest, config, size, MOST_REFINED), ""
+    if refine:
+        times, _ = price_of_detail(volume, refine)
+        advice = f". grids.refine={refine} keeps them smaller, in about {times:.2g} times the time"
+    return [
+        f"the style on <{volume.source.prim_path}> becomes about {size:.2g} times as large "
+        f"(style.size): its marks are finer than {longest} voxels can hold{advice}"
+    ]
 
 
 def style_remarks(volume: VolumePlan, scene: Mapping[str, Any]) -> list[str]:

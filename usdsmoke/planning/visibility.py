@@ -97,7 +97,7 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
     for parts in range(min(math.ceil(pixels / _COARSE / longest), MOST_REFINED), 1, -1):
         if round(widest * parts / pixels) > 1:  # such voxels are joined, to the size of a pixel
             continue
-        times, memory = _price_of_detail(volume, parts)
+        times, memory = price_of_detail(volume, parts)
         if memory <= (config.optimize.memory_limit_gib or available_memory_gib()):
             return [
                 f"grids.refine={parts} sharpens strokes of <{volume.source.prim_path}> in about "
@@ -113,7 +113,7 @@ def computed_boxes(volume: VolumePlan) -> list[tuple[int, int, int]]:
     return [size.box for size in sizes if size.computed and size.visible]
 
 
-def _price_of_detail(volume: VolumePlan, parts: int) -> tuple[float, float]:
+def price_of_detail(volume: VolumePlan, parts: int) -> tuple[float, float]:
     """How many times the time a Volume takes with ``grids.refine``, and its memory in GiB."""
     config, sizes = volume.config, [frame.size for frame in volume.frames]
     finer = config.with_values({"grids.refine": parts})

@@ -10,14 +10,13 @@ from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from usdsmoke.base.errors import FileUnreadable
 from usdsmoke.base.json_records import plain_values
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.settings import Config
+from usdsmoke.pictures import find_style_size, refine_for_less
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask, named_frames
@@ -47,7 +46,6 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
         GridError, NonFiniteError: see ``FrameReader.read``.
     """
     from usdsmoke.core.smoke.device import describe_machine
-    from usdsmoke.core.steps.targets import find_style_size
     from usdsmoke.core.views.scene import measure_scene
 
     describe_machine(job.plan.config.optimize)  # and use its threads
@@ -58,9 +56,9 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
         scene = measure_scene(
             frames, config.views, config.optics, job.plan.source.up_axis, config.grids.refine
         )
-        weighted, pictures = _with_all_weights(volume), job.pictures(volume)
-        size = find_style_size(pictures, scene, weighted)
-        refine = _smaller_at(pictures, scene, weighted, size) if size > 1 else 0
+        weighted, pictures, voxels = volume.with_all_weights, job.pictures(volume), scene.voxels
+        size = find_style_size(pictures, voxels, weighted)
+        refine = refine_for_less(pictures, voxels, weighted, size, MOST_REFINED)
         most_voxels = max(frame.size.most_voxels for frame in volume.frames)  # measured or not
         scene = dataclasses.replace(
             scene, style_size=size, style_refine=refine, most_voxels=most_voxels
@@ -73,28 +71,6 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
             scene = dataclasses.replace(scene, stops=white_exposure(frames, config, scene))
         scenes.append(plain_values(dataclasses.asdict(scene)))
     return scenes
-
-
-def _smaller_at(pictures: Sequence[np.ndarray], scene: "Scene", config: Config, size: float) -> int:
-    """The least ``grids.refine`` with which the size of the style is smaller; 0: there is none."""
-    from usdsmoke.core.steps.targets import find_style_size, side_of_marks
-
-    side, grids = side_of_marks(scene, config), config.grids
-    for refine in range(grids.refine + 1, MOST_REFINED + 1):
-        finer = config.replace(grids=grids.replace(refine=refine))
-        # on no more voxels, marks are no wider
-        if side_of_marks(scene, finer) > side and find_style_size(pictures, scene, finer) < size:
-            return refine
-    return 0
-
-
-def _with_all_weights(volume: VolumePlan) -> Config:
-    """The settings, with the greatest weight that each style image has in any frame."""
-    style = volume.config.style
-    own = tuple(style.weights) or (1.0,) * len(volume.styles)
-    found = {frame.source.controls.style_weights or own for frame in volume.frames}
-    greatest = [max(weights) for weights in zip(*found, strict=True)]
-    return volume.config.replace(style=style.replace(weights=greatest))
 
 
 def measured_frames(volume: VolumePlan) -> list[FramePlan]:

@@ -25,7 +25,7 @@ from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import DenseField, Scattering, VolumeFrame
-from usdsmoke.pictures import compose_sheet, read_style_image, write_png
+from usdsmoke.pictures import compose_sheet, find_style_size, read_style_image, write_png
 from usdsmoke.usd.stage import ComposedVolume, StageOrFile, open_stage
 from usdsmoke.work_precision.path_tracer import MOST_BOUNCES, TracedSmoke
 
@@ -167,7 +167,7 @@ def _draw(
 
     from usdsmoke.core.smoke.active import activate
     from usdsmoke.core.steps.pictures import prepare_views
-    from usdsmoke.core.steps.targets import find_style_size, make_targets
+    from usdsmoke.core.steps.targets import make_targets
     from usdsmoke.core.views.cameras import orbit_view
     from usdsmoke.core.views.lighting import light_smoke
     from usdsmoke.core.views.scene import fit_view, measure_scene
@@ -179,7 +179,7 @@ def _draw(
         gamma_w=look.gamma_w,
     )
     smoke = activate(look.density, place, device)
-    scene = replace(scene, style_size=find_style_size(images, scene, config))
+    scene = replace(scene, style_size=find_style_size(images, scene.voxels, config))
     targets = make_targets(images, scene, config, device)
     lighting = light_smoke(smoke, look.gamma_w, look.scattering)
     emitted = _per_extinction(look, smoke.ijk.numpy())

@@ -1,11 +1,11 @@
 """What a plan remarks on, and what a run of a part of a shot says at its end."""
 
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot
@@ -17,8 +17,10 @@ from tests.fixtures.usd_fixtures import (
     write_text,
     write_vdb,
 )
+from usdsmoke.pictures import style_size
 from usdsmoke.pipeline import Request, plan_request, stylize
 from usdsmoke.planning.plan import Plan
+from usdsmoke.runs import coarse
 
 
 @pytest.fixture
@@ -280,15 +282,47 @@ def test_at_the_end_an_enlarged_style_is_told_with_the_voxels_that_it_needs(
     shot: Shot,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    targets = sys.modules["usdsmoke.core.steps.targets"]
-    by_refine = lambda _styles, _scene, config: sizes[config.grids.refine - 1]  # noqa: E731
-    monkeypatch.setattr(targets, "find_style_size", by_refine)
+    by_refine = lambda _styles, _voxels, config: sizes[config.grids.refine - 1]  # noqa: E731
+    monkeypatch.setattr(coarse, "find_style_size", by_refine)
+    monkeypatch.setattr(style_size, "find_style_size", by_refine)
     told = stylize(shot.stage, shot.style, shot.output, setting).warnings
     found = [text for text in told if "times as large" in text]
     assert len(found) == (words is not None)
     for text in found:
         assert all(word in text for word in words or ())
         assert ("grids.refine" in text) == (len(words or ()) > 1)
+
+
+def fine_style(folder: Path, wavelength: float) -> Path:
+    """An image with stripes that are so many voxels wide on smoke of 96 voxels."""
+    light = 0.5 + 0.4 * np.sin(2 * np.pi / (4 * wavelength) * np.arange(384))
+    pixels = np.rint(255 * np.broadcast_to(light[None, :, None], (384, 384, 3)))
+    Image.fromarray(pixels.astype(np.uint8)).save(folder / "stripes.png")
+    return folder / "stripes.png"
+
+
+@pytest.mark.parametrize(
+    ("n_voxels", "wavelength", "setting", "words"),
+    [
+        (96, 2.6, "grids.refine=1", ["style.size", "grids.refine=2", "96 voxels"]),
+        (192, 2.6, "grids.refine=1", None),  # marks are twice as wide there
+        (96, 9.0, "grids.refine=1", None),
+        (96, 2.6, "grids.refine=2", None),
+        (96, 2.6, "style.size=1", None),
+        (12, 2.6, "grids.refine=1", None),
+    ],
+)
+def test_the_plan_tells_that_a_fine_style_will_be_enlarged(
+    tmp_path: Path, n_voxels: int, wavelength: float, setting: str, words: list[str] | None
+) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    smoke = raw_grid(np.ones((n_voxels, 6, 6), np.float32))
+    write_raw(shot.stage.parent / "cache/smoke.0001.vdb", smoke)
+    style = fine_style(tmp_path, wavelength)
+    notes = plan_request(Request(shot.stage, style, shot.output, [setting])).notes
+    found = [text for text in notes if "style.size" in text]
+    assert len(found) == (words is not None)
+    assert all(word in text for text in found for word in words or ())
 
 
 def test_an_overlap_that_no_window_can_have_is_told(shot: Shot) -> None:

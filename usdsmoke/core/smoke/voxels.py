@@ -8,8 +8,7 @@ import numpy as np
 from usdsmoke.base.volume import DenseField
 
 LEAST_DENSITY = 1.17549435e-38  # of float32 with all its digits; what is below counts as none
-
-
+NEARLY_CUBIC = 0.99  # share of the cube's edge; shorter edges of a voxel decide the pixels
 FILLED = 0.95  # of the box's voxels: from there on there may be a floor
 ABOVE = 20.0  # times the floor: denser voxels are smoke
 FEWEST_ABOVE = 40  # such voxels; fewer are an outlier of smoke that fills its box
@@ -69,6 +68,18 @@ class Placed:
             return self.voxel_volume ** (1 / 3)
         across, along = (self.index_to_stage[n, :3] for n in range(3) if n != self.thin_axis)
         return float(np.linalg.norm(np.cross(across, along))) ** 0.5
+
+    @property
+    def shortest_edge(self) -> float:
+        """Of a voxel, stage units; of one that is nearly a cube the edge of the cube of its volume.
+
+        In 2-D that of its face.
+        """
+        edges = np.linalg.norm(self.edges, axis=1)
+        if self.thin_axis is not None:
+            edges = np.delete(edges, self.thin_axis)
+        shortest, cube = float(edges.min()), self.voxel_size
+        return shortest if shortest < NEARLY_CUBIC * cube else cube
 
     @property
     def longest_side(self) -> float:

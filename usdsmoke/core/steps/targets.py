@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.sections import LossesConfig, StyleConfig, ViewsConfig
+from usdsmoke.base.sections import LossesConfig, StyleConfig
 from usdsmoke.base.settings import Config, style_shares
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.memory import run_on
@@ -20,12 +20,7 @@ from usdsmoke.core.style.features import build_network
 from usdsmoke.core.style.hues import Hues, count_hues
 from usdsmoke.core.style.layers import content_layers, nearest_layers, style_layers
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
-from usdsmoke.core.style.style_image import (
-    adjust_tones,
-    find_size,
-    match_grey,
-    scale_style,
-)
+from usdsmoke.core.style.style_image import adjust_tones, match_grey, scale_style
 from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
@@ -236,29 +231,3 @@ def make_targets(
 def sized_style(config: StyleConfig, scene: Scene) -> StyleConfig:
     """The settings with the size that the shot's scene has, if none is set."""
     return config if config.size is not None else config.replace(size=scene.style_size)
-
-
-def side_of_marks(scene: Scene, config: Config) -> float:
-    """The longer side of the picture in what marks of a style are counted in.
-
-    These are the voxels of the shot or, if these are finer, pixels of the usual
-    ``views.image_size``, so that presets agree.
-    """
-    voxels = scene.image_size * scene.pixel_size * config.grids.refine / scene.reference_voxel_size
-    return voxels / max(1, round(voxels / ViewsConfig().image_size))
-
-
-def find_style_size(styles: Sequence[np.ndarray], scene: Scene, config: Config) -> float:
-    """The ``Scene.style_size`` of one shot: marks that are finer than voxels can hold are enlarged.
-
-    Of several images, the one that needs the least decides. Marks are counted as of
-    ``side_of_marks``.
-
-    Args:
-        styles: display-encoded images [H W 3] in [0, 1].
-    """
-    if not config.style.is_size_open:
-        return 1.0
-    longer_side, shares = side_of_marks(scene, config), style_shares(config.style, len(styles))
-    used = (style for style, share in zip(styles, shares, strict=True) if share > 0)
-    return min(find_size(style, longer_side) for style in used)

@@ -33,7 +33,6 @@ PICTURE_MARGIN = 2  # pixels around the smoke
 LEAST_OPACITY = 1e-12  # thinner smoke is not brightened: float32 pictures hold no more
 _SIDEWAYS = 45.0  # half a range of azimuth, degrees, from which on smoke is seen from the side
 LEAST_PIXELS = 16  # along the smoke, even if the camera is far away: fewer hold no structure
-NEARLY_CUBIC = 0.99  # share of the cube's edge; shorter edges of a voxel decide the pixels
 EXPOSED_OPACITY = 0.7  # thick columns with less opacity are exposed to this one
 
 
@@ -74,6 +73,11 @@ class Scene:
     def thickening(self) -> Thickening | None:
         """What is done to the density of the source; None: nothing."""
         return Thickening(self.thicken, self.knee) if self.knee > 0 else None
+
+    @property
+    def voxels(self) -> float:
+        """Of the source, along the longer side of the largest picture."""
+        return self.image_size * self.pixel_size / self.reference_voxel_size
 
     def without_thickening(self) -> "Scene":
         """The scene for smoke that is thickened already."""
@@ -273,7 +277,7 @@ def measure_scene(
     parts = [(visible_part(s, c, views.camera_margin), c, floor) for s, c, floor in whole]
     shown = [item for item in parts if not item[0].is_empty]
     visible = [item[:2] for item in shown]
-    shortest = float(np.median([_shortest_edge(smoke) for smoke, _ in filled]))
+    shortest = float(np.median([smoke.shortest_edge for smoke, _ in filled]))
     pixel_size = _pixel_size(longest, shortest, visible, views, refine)
     fine = _pixel_size(near, shortest, visible, views, refine) if near < longest else pixel_size
     seen = _seen_smoke(shown or whole, views, up_axis, max(fine, voxel))
@@ -345,15 +349,6 @@ def _n_refined(smoke: Voxels, refine: int) -> int:
     """Number of voxels after a subdivision, which leaves thin axes alone."""
     low, high = smoke.box if not smoke.is_empty else (np.zeros(3), np.zeros(3))
     return len(smoke.ijk) * refine ** int((high > low).sum())
-
-
-def _shortest_edge(smoke: Voxels) -> float:
-    """Of a voxel, stage units; of one that is nearly a cube the edge of the cube of its volume."""
-    edges = np.linalg.norm(smoke.edges, axis=1)
-    if smoke.thin_axis is not None:
-        edges = np.delete(edges, smoke.thin_axis)
-    shortest, cube = float(edges.min()), smoke.voxel_size
-    return shortest if shortest < NEARLY_CUBIC * cube else cube
 
 
 def _pixel_size(

@@ -9,7 +9,7 @@ from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.make_plan import estimate_part
 from usdsmoke.planning.plan import Plan, WindowTask
-from usdsmoke.planning.remarks import measured_remarks
+from usdsmoke.planning.remarks import fine_marks_remarks, measured_remarks
 from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.manifests import coarse_file_name
 from usdsmoke.runs.opening.choose import frames_again
@@ -35,13 +35,13 @@ class Course:
         if isinstance(again, str):
             return self._job.plan
         if again is not None:
-            return _repeated(again[0].plan, again[2], self._job.plan)
+            return _repeated(again[0], again[2], self._job.plan)
         growth, unfinished = self._growth, self._unfinished if whole else None
         plan = growth.job.plan if growth else self._job.plan
         if unfinished is not None:
             return _resumed(unfinished, plan)
         if growth is None and self.refusal:  # nothing is measured
-            return replace(plan, notes=tuple(_lasting_notes(plan)))
+            return replace(plan, notes=tuple(_lasting_notes(self._job)))
         return _grown(growth) if growth else plan
 
     @property
@@ -78,12 +78,13 @@ class Course:
         return next((run for run in stopped if identity.is_of(run)), None)
 
 
-def _repeated(whole: Plan, numbers: Collection[int], part: Plan) -> Plan:
+def _repeated(job: Job, numbers: Collection[int], part: Plan) -> Plan:
+    whole = job.plan
     done = [task for task in whole.tasks if task.number in numbers]
     stay = [task for task in whole.tasks if task.number not in numbers]
     kept, _ = _kept_and_left(stay, done)
     notes = ["the output folder holds this result", kept, f"to do again: {_named(done)}"]
-    notes += _lasting_notes(whole)
+    notes += _lasting_notes(job)
     estimate = estimate_part(whole, done, {*_frames(whole)})
     return replace(part, notes=tuple(notes), estimate=estimate)
 
@@ -95,7 +96,7 @@ def _grown(growth: Growth) -> Plan:
         for why, codes in growth.finished_again.items()
     ]
     kept_and_left = _kept_and_left(stay, growth.to_do)
-    notes = [*growth.notes, *kept_and_left, *again, *_lasting_notes(plan)]
+    notes = [*growth.notes, *kept_and_left, *again, *_lasting_notes(growth.job)]
     started = {name for name in _frames(plan) if coarse_file_name(name) in growth.starts}
     estimate = estimate_part(plan, growth.to_do, started)
     return replace(plan, notes=tuple(notes), estimate=estimate)
@@ -115,10 +116,12 @@ def _frames(plan: Plan) -> Iterator[str]:
     return (frame.file_name for volume in plan.volumes for frame in volume.frames)
 
 
-def _lasting_notes(plan: Plan) -> list[str]:
+def _lasting_notes(job: Job) -> list[str]:
     """The notes but those on measuring, because nothing is measured again."""
-    measured = measured_remarks(plan.volumes)
-    return [note for note in plan.notes if note not in measured]
+    measured = measured_remarks(job.plan.volumes)
+    for volume in job.plan.volumes:
+        measured += fine_marks_remarks(volume, job.pictures(volume))
+    return [note for note in job.plan.notes if note not in measured]
 
 
 def _kept_and_left(stay: Sequence[WindowTask], left: Sequence[WindowTask]) -> tuple[str, str]:
