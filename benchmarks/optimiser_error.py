@@ -4,7 +4,7 @@
 
 The shape step and the colour step run on small copies of the example plume and, where its file is
 there, of the real plume, with each style: with half of the iterations, with the default
-iterations, and (colour alone) with twice as many, and stopped early by a large tolerance. Each run
+iterations, with twice as many, and stopped early by a large tolerance. Each run
 is repeated with four times the iterations that it did in each octave. Both ends are judged over the
 whole pool of views, each drawn once: the step is run again from its result with a vanishing rate.
 """
@@ -144,7 +144,7 @@ def main(arguments: list[str] | None = None) -> int:
     for scene, frame in frames.items():
         for name, style in styles.items():
             for step in ("shape", "colour"):
-                for limit in LIMITS if step == "colour" else list(LIMITS)[:2]:
+                for limit in LIMITS:
                     names = (scene, name)
                     rows.append(measure_step(frame, style, Config(), step, limit, names))
                     print(_line(rows[-1]), file=sys.stderr, flush=True)

@@ -94,6 +94,16 @@ def _lines(file_path: str) -> list[str]:
         return []
 
 
+def process_seconds() -> float:
+    """Since this process began, to a hundredth; 0 where the system does not tell."""
+    try:
+        began = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19])
+        now = float(Path("/proc/uptime").read_text().split()[0])
+        return max(now - began / os.sysconf("SC_CLK_TCK"), 0.0)
+    except (OSError, ValueError, IndexError):
+        return 0.0
+
+
 def give_back_memory() -> None:
     """Return free memory that the C library keeps to the system, if the library can.
 

@@ -1,5 +1,10 @@
 """The parts of a run's time add up to all of it, whoever took the windows and when."""
 
+import subprocess
+import sys
+import time
+from pathlib import Path
+
 import pytest
 
 from usdsmoke.base.frame_report import (
@@ -87,3 +92,20 @@ def test_the_table_tells_every_part_and_what_the_plan_left_out() -> None:
     text = budget_text(make_budget([]), seconds, omitted)
     assert text.endswith("time: reading 1.2 s, shape 1 min 15 s; 1 min 16 s in all")
     assert "mask field; the shot's camera" in text and "none is named" not in text
+    text = budget_text(make_budget([]), seconds, starting=0.5)
+    assert text.endswith("time: starting 0.5 s, reading 1.2 s, shape 1 min 15 s; 1 min 17 s in all")
+
+
+def test_a_process_tells_since_when_it_runs() -> None:
+    code = (
+        "import time; began = time.time(); time.sleep(0.3)\n"
+        "from usdsmoke.base.machine import process_seconds\n"
+        "print(time.time() - began, process_seconds())"
+    )
+    begun = time.time()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    inside, told = map(float, done.stdout.split())
+    if not Path("/proc/self/stat").exists():
+        assert told == 0
+    else:
+        assert inside - 0.05 <= told <= time.time() - begun + 0.05

@@ -17,6 +17,7 @@ def budget_text(
     seconds: Mapping[str, float] | None = None,
     omitted: Sequence["Omission"] = (),
     everything: bool = True,
+    starting: float = 0.0,
 ) -> str:
     """The verdicts on a result, and the time that the parts of the run took.
 
@@ -24,6 +25,7 @@ def budget_text(
         seconds: of all parts of the run; None or empty takes the budget's.
         omitted: what the plan left out; the reasons stand there.
         everything: also all errors, why others are missing, and what was left out.
+        starting: seconds from the beginning of the process to the command; 0: not known.
     """
     lines = columns(_verdict_rows(budget))
     if everything:
@@ -32,7 +34,7 @@ def budget_text(
         lines += [f"left out, for the reasons in the plan: {'; '.join(unusual)}"] if unusual else []
     else:
         lines.append(_HINT)
-    return "\n".join([*lines, _time(dict(seconds or budget.seconds))])
+    return "\n".join([*lines, _time(dict(seconds or budget.seconds), starting)])
 
 
 def _verdict_rows(budget: "ErrorBudget") -> list[tuple[str, ...]]:
@@ -67,8 +69,10 @@ def _all_errors(budget: "ErrorBudget") -> list[str]:
     ]
 
 
-def _time(parts: dict[str, float]) -> str:
+def _time(parts: dict[str, float], starting: float) -> str:
     whole = parts.pop("all", None)
+    if starting and whole is not None:
+        parts, whole = {"starting": starting, **parts}, starting + whole
     took = ", ".join(f"{name} {_short(value)}" for name, value in parts.items())
     return f"time: {took}" + (f"; {_short(whole)} in all" if whole is not None else "")
 

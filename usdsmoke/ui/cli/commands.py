@@ -242,10 +242,11 @@ def run_rerun(arguments: argparse.Namespace) -> int:
             progress,
             lambda plan: progress.say(plan_text(plan, arguments.verbose)),
         )
+    verbose, starting = arguments.verbose, arguments.starting
     same = {"as_recorded": not again.differences, "differences": list(again.differences)}
     show(
         arguments,
         lambda: result_as_dict(again.result) | {"record": str(again.record)} | same,
-        lambda: f"{end_text(again.result, arguments.verbose)}\n\n{rerun_text(again)}",
+        lambda: "\n\n".join([end_text(again.result, verbose, starting), rerun_text(again)]),
     )
     return 1 if again.differences else 0

@@ -21,7 +21,12 @@ from contextlib import contextmanager
 from types import FrameType
 
 from usdsmoke.base.errors import Interrupted, UsdSmokeError
-from usdsmoke.base.machine import check_packages, missing_package, prepare_numpy_environment
+from usdsmoke.base.machine import (
+    check_packages,
+    missing_package,
+    prepare_numpy_environment,
+    process_seconds,
+)
 
 _LOWER = "Lower views.pool, views.image_size or grids.refine"
 _BROKEN_PIPE = 128 + 13
@@ -49,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     parser, commands = build_parser(), _commands()
     arguments = parser.parse_args(words)
+    arguments.starting = process_seconds() if argv is None else 0.0
     if name := empty_path(arguments):
         parser.error(f"{name} is empty. Give a path.")
     try:

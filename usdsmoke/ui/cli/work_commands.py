@@ -159,14 +159,19 @@ def _show_result(result: "StylizeResult", arguments: argparse.Namespace) -> None
     if arguments.json:  # for the log; the text ends with them
         for text in result.warnings:
             print(f"note: {text}", file=sys.stderr)
-    show(arguments, lambda: result_as_dict(result), lambda: end_text(result, arguments.verbose))
+    verbose, starting = arguments.verbose, arguments.starting
+    show(
+        arguments,
+        lambda: result_as_dict(result),
+        lambda: end_text(result, verbose, starting),
+    )
 
 
-def end_text(result: "StylizeResult", everything: bool) -> str:
+def end_text(result: "StylizeResult", everything: bool, starting: float = 0.0) -> str:
     """The end of a run: what keeps it from being seen, its files, and what to make of it.
 
     Args:
-        everything: see ``budget_text``.
+        everything, starting: see ``budget_text``.
     """
     warnings, budget = result.plan.warnings, result.error_budget
     notes = [text for text in result.warnings if text not in warnings]
@@ -174,7 +179,7 @@ def end_text(result: "StylizeResult", everything: bool) -> str:
     texts.append(result_text(result))
     if budget is not None:
         omitted = result.plan.omitted
-        texts.append(budget_text(budget, result.seconds, omitted, everything))
+        texts.append(budget_text(budget, result.seconds, omitted, everything, starting))
     if notes:
         texts.append("\n".join(f"note: {text}" for text in notes))
     return "\n\n".join(texts)
