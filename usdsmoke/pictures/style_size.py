@@ -17,7 +17,7 @@ WORTH_IT = 0.95  # times the fine share at 1: a size with at most that is taken 
 FLAT = 0.01  # deviation of the luminance below which a style has no marks
 
 
-_LUMA = np.array([0.2126, 0.7152, 0.0722])  # of red, green and blue: Rec. 709
+_LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of red, green and blue: Rec. 709
 
 
 def find_style_size(styles: Sequence[np.ndarray], voxels: float, config: Config) -> float:
@@ -29,11 +29,7 @@ def find_style_size(styles: Sequence[np.ndarray], voxels: float, config: Config)
         styles: display-encoded images [H W 3] in [0, 1].
         voxels: of the source, along the longer side of the picture.
     """
-    if not config.style.is_size_open:
-        return 1.0
-    longer_side, shares = side_of_marks(voxels, config), style_shares(config.style, len(styles))
-    used = (style for style, share in zip(styles, shares, strict=True) if share > 0)
-    return min(image_size(style, longer_side) for style in used)
+    return _find_size(_used_lights(styles, config), voxels, config)
 
 
 def refine_for_less(
@@ -48,11 +44,11 @@ def refine_for_less(
     """
     if size == 1:
         return 0
-    side = side_of_marks(voxels, config)
+    side, lights = side_of_marks(voxels, config), _used_lights(styles, config)
     for refine in range(config.grids.refine + 1, most + 1):
         finer = config.replace(grids=config.grids.replace(refine=refine))
         # on no more voxels, marks are no wider
-        if side_of_marks(voxels, finer) > side and find_style_size(styles, voxels, finer) < size:
+        if side_of_marks(voxels, finer) > side and _find_size(lights, voxels, finer) < size:
             return refine
     return 0
 
@@ -70,17 +66,21 @@ def side_of_marks(voxels: float, config: Config) -> float:
     return voxels / max(1, round(voxels / ViewsConfig().image_size))
 
 
-def image_size(style: np.ndarray, longer_side: float) -> float:
+def luminance(style: np.ndarray) -> Image.Image:
+    """Of an image [H W 3], display-encoded; 32 bits."""
+    return Image.fromarray(np.asarray(style, np.float32) @ _LUMA)
+
+
+def image_size(light: Image.Image, longer_side: float) -> float:
     """The ``style.size`` with which marks are wide enough for voxels; 1 if they are at 1 already.
 
     Else the least of ``SIZES`` with few fine marks. Of a style that has many at any size, the one
     with the fewest, or 1 if that hardly helps.
 
     Args:
-        style: [H W 3], display-encoded, in [0, 1].
+        light: the style's ``luminance``, in [0, 1].
         longer_side: of the rendered picture, in voxels.
     """
-    light = np.asarray(style, np.float64) @ _LUMA  # in double: rounding is no mark of a flat style
     shares = list[float]()
     for size in SIZES:
         scaled = scaled_light(light, longer_side * size)
@@ -115,19 +115,31 @@ def fine_share(light: np.ndarray) -> float:
     return math.sqrt(float(power[squares > FINE**-2].sum()) / marks) if marks > 0 else 0.0
 
 
-def scaled_light(light: np.ndarray, longer_side: float) -> np.ndarray:
-    """A luminance as pictures are compared with it: by the filter of the style loss, without torch.
+def scaled_light(light: Image.Image, longer_side: float) -> np.ndarray:
+    """A luminance [H W] as pictures are compared with it: by the filter of the style loss, without
+    torch.
 
     Args:
-        light: [H W], in [0, 1].
         longer_side: pixels of the result's longer side.
     """
-    scale = longer_side / max(light.shape)
-    height, width = (max(1, round(n * scale)) for n in light.shape)
-    image = Image.fromarray(light.astype(np.float32))
-    if (height, width) != light.shape:
-        image = image.resize((width, height), Image.Resampling.BILINEAR)  # smooths to reduce
-    return np.asarray(image, np.float64)
+    scale = longer_side / max(light.size)
+    width, height = (max(1, round(n * scale)) for n in light.size)
+    if (width, height) != light.size:
+        light = light.resize((width, height), Image.Resampling.BILINEAR)  # smooths to reduce
+    return np.asarray(light, np.float64)
+
+
+def _used_lights(styles: Sequence[np.ndarray], config: Config) -> list[Image.Image]:
+    """The luminance of each style that has a weight; none where the size is set."""
+    if not config.style.is_size_open:
+        return []
+    shares = style_shares(config.style, len(styles))
+    return [luminance(style) for style, share in zip(styles, shares, strict=True) if share > 0]
+
+
+def _find_size(lights: Sequence[Image.Image], voxels: float, config: Config) -> float:
+    longer_side = side_of_marks(voxels, config)
+    return min((image_size(light, longer_side) for light in lights), default=1.0)
 
 
 def _spectrum(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

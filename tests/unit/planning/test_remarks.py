@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from tests.fixtures.usd_fixtures import (
     write_text,
     write_vdb,
 )
-from usdsmoke.pictures import style_size
+from usdsmoke.base.settings import Config
 from usdsmoke.pipeline import Request, plan_request, stylize
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs import coarse
@@ -282,9 +283,15 @@ def test_at_the_end_an_enlarged_style_is_told_with_the_voxels_that_it_needs(
     shot: Shot,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    by_refine = lambda _styles, _voxels, config: sizes[config.grids.refine - 1]  # noqa: E731
-    monkeypatch.setattr(coarse, "find_style_size", by_refine)
-    monkeypatch.setattr(style_size, "find_style_size", by_refine)
+    def find(_styles: Any, _voxels: float, config: Config) -> float:
+        return sizes[config.grids.refine - 1]
+
+    def refine(_styles: Any, _voxels: float, config: Config, size: float, most: int) -> int:
+        finer = range(config.grids.refine + 1, most + 1)
+        return next((parts for parts in finer if sizes[parts - 1] < size), 0)
+
+    monkeypatch.setattr(coarse, "find_style_size", find)
+    monkeypatch.setattr(coarse, "refine_for_less", refine)
     told = stylize(shot.stage, shot.style, shot.output, setting).warnings
     found = [text for text in told if "times as large" in text]
     assert len(found) == (words is not None)
