@@ -220,26 +220,40 @@ def test_the_coarse_step_weighs_changes_in_the_pixels_of_the_shot():
     assert difference(1.0) == 0 < difference(0.25)
 
 
+def departure(steadiness: float, most_voxels: int = 0) -> float:
+    """How far a window's first frame moves away from the coarse step, relative to that.
+
+    Args:
+        most_voxels: see ``Scene``; of large smoke, blocks of voxels move.
+    """
+    config = quick_config(
+        shape={"iterations": [4, 12], "warm_rate": 1.0},
+        optimize={"steps": ["shape"], "threads": 1, "tolerance": 0.0},
+        windows={"shared_octaves": 1, "steadiness": steadiness},
+    )
+    scene, style = scene_of(FRAMES, config, "Y"), random_style()
+    small = replace(scene, most_voxels=0)
+    (start,) = coarse_frames(FRAMES[2:3], [style], small, config)
+    shown = replace(scene, most_voxels=most_voxels)
+    job = make_context([style], shown, config, None, 24.0, {2.0: start}.get, 1)
+    (frame,) = run_frames(FRAMES[2:3], job)
+    assert frame.unclamped is not None and start.displacement is not None
+    lattice = frame.unclamped.lattice
+    coarse = start.displacement.on(lattice)
+    change = lattice.from_stage(frame.unclamped.values) - coarse
+    return float(change.norm() / coarse.norm())
+
+
 def test_a_windows_first_frame_stays_near_the_coarse_step():
     """Which the frames behind it are pulled to, and which the window before it started from."""
-
-    def departure(steadiness: float) -> float:
-        config = quick_config(
-            shape={"iterations": [4, 12], "warm_rate": 1.0},
-            optimize={"steps": ["shape"], "threads": 1, "tolerance": 0.0},
-            windows={"shared_octaves": 1, "steadiness": steadiness},
-        )
-        scene, style = scene_of(FRAMES, config, "Y"), random_style()
-        (start,) = coarse_frames(FRAMES[2:3], [style], scene, config)
-        job = make_context([style], scene, config, None, 24.0, {2.0: start}.get, 1)
-        (frame,) = run_frames(FRAMES[2:3], job)
-        assert frame.unclamped is not None and start.displacement is not None
-        lattice = frame.unclamped.lattice
-        coarse = start.displacement.on(lattice)
-        change = lattice.from_stage(frame.unclamped.values) - coarse
-        return float(change.norm() / coarse.norm())
-
     assert departure(1e4) < 0.5 * departure(0.0)
+
+
+def test_changes_of_blocks_count_in_the_pixels_of_the_shot():
+    """Not in those of their own pictures, which are twice as large."""
+    large = 10**6
+    assert departure(0.0, large) > 0.9 * departure(0.0)
+    assert departure(0.25, large) < 0.75 * departure(0.25)
 
 
 def test_the_colours_of_a_windows_first_frame_stay_near_the_coarse_step():

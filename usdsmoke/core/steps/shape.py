@@ -145,8 +145,8 @@ def run_shape_step(
         start: what to start from, see ``MotionBox.of``; None starts from rest.
         watch: called with the octave and the optimiser's state after every iteration.
         rate_share: share of the learning rate, in (0, 1].
-        steadiness: weight of the change against the start, in pixels, squared, mean over the
-            smoke; see ``windows.steadiness``.
+        steadiness: weight of the change against the start, in the octave's pixels (of blocks, in
+            the voxels'), squared, mean over the smoke; see ``windows.steadiness``.
 
     Returns:
         The velocity of the blocks, before it is clamped and before ``optimize.strength``, and how
@@ -168,6 +168,7 @@ def run_shape_step(
     for number, factor, smoke, n_iterations in todo:
         if smoke is source and blocks is not source:  # finer pictures hardly move blocks better
             smoke, factor = blocks, factor * OCTAVE_SCALE
+            steadiness *= OCTAVE_SCALE**2  # changes still count in the shot's pixels
         here, seed = replace(problem, smoke=smoke), config.optimize.seed + number
         is_between = blocks is not source and len(smoke.ijk) == len(blocks.ijk)
         folding = BLOCK_FOLDING_WEIGHT if is_between else FOLDING_WEIGHT
