@@ -113,12 +113,13 @@ def _pays(volume: VolumePlan, cost: CostEstimate, training: float) -> str:
     without = replace(volume, config=without_network(volume.config))
     usual = _estimate(without, volume.frames, volume.overlap_frames, volume.coarse_frames)
     saved = (usual.seconds - cost.seconds) / len(volume.frames)
-    takes = f"training the network takes {training:.0f} s"
+    takes = f"training it takes {training:.0f} s"
     if saved <= 0:
-        return f"{takes} and saves no time here"
-    n_cold = sum(step_iterations(without.config, "colour"))
-    within = count_text(math.ceil(training / saved), "frame")
-    return f"{takes}, saved within {within} like these (against {n_cold} iterations from noise)"
+        return f"a network saves no time here: {takes}"
+    n_frames, n_cold = math.ceil(training / saved), sum(step_iterations(without.config, "colour"))
+    here = f", of which this run has {n}" if (n := len(volume.filled)) < n_frames else ""
+    text = f"a network saves time from {count_text(n_frames, 'frame')} like these on{here}"
+    return f"{text}: {takes} (against {n_cold} iterations from noise)"
 
 
 def _with_places(
