@@ -81,6 +81,17 @@ def test_a_trained_network_paints_frames_and_is_in_the_record(
     assert [change.kind for change in verify(result.look_layer)] == ["start-missing"]
 
 
+def test_a_training_that_does_not_fit_the_memory_is_refused_at_once(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = shot.folder / "style.safetensors"
+    named = [str(shot.stage), "--style", str(shot.style), "-o", str(network)]
+    assert main(["train", *named, "--set", "optimize.memory_limit_gib=0.001"]) == 1
+    told = capsys.readouterr().err
+    assert "optimize.memory_limit_gib" in told and "GiB" in told and "%" not in told
+    assert not network.exists()
+
+
 def test_a_run_trains_a_network_of_its_own(shot: Shot, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 60)
     own = {"optimize__start": "network", "optimize__iterations": 0}

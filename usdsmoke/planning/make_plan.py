@@ -218,7 +218,7 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
         frames = [(volume, frame) for volume in plan.volumes for frame in volume.frames]
         volume, frame = max(frames, key=lambda item: item[1].size.active_voxels)
         raise PlanError(
-            f"stylizing needs about {needed:.1f} GiB of memory, for <{volume.source.prim_path}> at "
+            f"about {needed:.1f} GiB of memory is needed, for <{volume.source.prim_path}> at "
             f"timeCode {frame.source.time_code:g} with {frame.size.active_voxels:,} voxels; only "
             f"{limit:.1f} GiB is available ({reason}). Lower views.pool, views.image_size or "
             f"grids.refine, or {remedy}.{_dense_hint(frame.size)}"

@@ -4,6 +4,7 @@ A run trains its networks beside measuring the scenes, before the first window: 
 what all windows share.
 """
 
+import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,8 +21,10 @@ from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.core.generator.definition import N_ITERATIONS
 from usdsmoke.core.generator.weights import read_notes
 from usdsmoke.core.sequence.controls import network_alone
+from usdsmoke.planning.estimate import estimate_run
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
+from usdsmoke.planning.make_plan import check_plan
 from usdsmoke.planning.plan import FramePlan, VolumePlan, named_frames
 from usdsmoke.runs.coarse import measure_scenes, measured_frames
 from usdsmoke.runs.manifests import network_file_name
@@ -83,7 +86,7 @@ def train(
 
     Raises:
         ConfigError: ``output`` has another suffix.
-        PlanError: there is no smoke in any frame.
+        PlanError: there is no smoke in any frame, or too little memory.
         UsdSmokeError: see ``usdsmoke.base.errors``; no file is written then.
         Interrupted: by Ctrl-C; likewise.
     """
@@ -96,6 +99,7 @@ def train(
     job = prepare_job(request, fits=False)
     volume, filled = job.plan.largest_volume()
     frames, n_iterations = _choose(filled), iterations or N_ITERATIONS
+    _check_memory(job, volume, frames)
 
     def report(state: "TrainState") -> None:
         n = state.n_iterations
@@ -114,6 +118,13 @@ def train(
         target, volume.source.prim_path, found.time_codes, found.held_out, trained.loss,
         trained.cold_loss, trained.n_cold, trained.n_iterations, time.monotonic() - started,
     )  # fmt: skip
+
+
+def _check_memory(job: Job, volume: VolumePlan, frames: Sequence[FramePlan]) -> None:
+    """Refuse frames that are too large for this machine, or for ``optimize.memory_limit_gib``."""
+    config = volume.config.with_values({"optimize.start": "network"})
+    estimate = estimate_run([frame.size for frame in frames], config, len(volume.styles))
+    check_plan(dataclasses.replace(job.plan, estimate=estimate))
 
 
 def record_scenes(opened: OpenRun, tell: RunProgressCallback) -> None:
