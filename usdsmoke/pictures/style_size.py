@@ -14,7 +14,6 @@ SIZES = tuple(2 ** (n / 2) for n in range(5))  # that an unset ``style.size`` is
 FINE, WIDE = 4.0, 16.0  # voxels: wavelengths of marks that views disagree on, and of all marks
 MOST_FINE = 0.45  # share of the fine ones that an enlarged style may have
 WORTH_IT = 0.95  # times the fine share at 1: a size with at most that is taken where none suffices
-FEWEST_VOXELS = 16  # along the picture's longer side: fewer hold no marks of any size
 FLAT = 0.01  # deviation of the luminance below which a style has no marks
 
 
@@ -24,7 +23,7 @@ _LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of red, green and blue
 def find_style_size(styles: Sequence[np.ndarray], voxels: float, config: Config) -> float:
     """The size of the styles of one shot where ``style.size`` is unset; 1 where it is set.
 
-    Of several images, the one that needs the least decides. Tiny smoke leaves it at 1.
+    Of several images, the one that needs the least decides.
 
     Args:
         styles: display-encoded images [H W 3] in [0, 1].
@@ -140,8 +139,6 @@ def _used_lights(styles: Sequence[np.ndarray], config: Config) -> list[Image.Ima
 
 def _find_size(lights: Sequence[Image.Image], voxels: float, config: Config) -> float:
     longer_side = side_of_marks(voxels, config)
-    if longer_side < FEWEST_VOXELS:
-        return 1.0
     return min((image_size(light, longer_side) for light in lights), default=1.0)
 
 

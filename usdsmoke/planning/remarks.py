@@ -38,6 +38,7 @@ EXTREME_RATE = 10.0
 _HEAVY = 1000.0  # of a loss beside the style's: with as much hardly any strokes are left
 _FEW_PIXELS = 32  # of a picture
 _UNLIKE = 4.0  # times the usual voxel: a shot may change its resolution by a factor of 2
+_FEWEST_VOXELS = 16  # along the longest side: fewer hold no marks of any size
 _FEWEST_PIXELS = 16  # of a repetition of the style: fewer hold no strokes
 _WITHIN = 0.5  # of a box: less is neighbours that touch
 _ROUNDED = 1e-3  # of a voxel: 1e-3 changes the extinction of a puff by 3 %, 1 by 18 %
@@ -85,7 +86,7 @@ def fine_marks_remarks(volume: VolumePlan, styles: Sequence[np.ndarray]) -> list
         styles: display-encoded images [H W 3] in [0, 1], the Volume's.
     """
     longest = _longest(volume)
-    if not longest:  # nothing is optimised
+    if longest < _FEWEST_VOXELS:
         return []
     config = volume.with_all_weights
     size = find_style_size(styles, longest, config)

@@ -117,12 +117,6 @@ def shot_size(styles: list[np.ndarray], changes: dict) -> float:
     return find_style_size(styles, 96, resolve_config(changes))
 
 
-def test_tiny_smoke_leaves_the_size_alone():
-    fine = np.random.default_rng(0).random((300, 300, 3), dtype=np.float32)
-    found = [find_style_size([fine], voxels, resolve_config({})) for voxels in (1, 8, 15, 96)]
-    assert found[:3] == [1, 1, 1] and found[3] > 1
-
-
 def test_a_set_size_and_a_tiled_image_are_left_alone():
     fine = [stripes(2.6)]
     assert shot_size(fine, {}) > 1
