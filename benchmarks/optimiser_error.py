@@ -3,10 +3,10 @@
     python -m benchmarks.optimiser_error [--width 32] [--styles strokes A.jpg] [--data FOLDER]
 
 The shape step and the colour step run on small copies of the example plume and, where its file is
-there, of the real plume, with each style: with half of the iterations, with the default
-iterations, with twice as many, and stopped early by a large tolerance. Each run
-is repeated with four times the iterations that it did in each octave. Both ends are judged over the
-whole pool of views, each drawn once: the step is run again from its result with a vanishing rate.
+there, of the real plume, with each style: with half of the iterations, with the default iterations,
+with twice as many, and stopped early by a large tolerance. Each run is repeated with four times the
+iterations that it did in each octave. Both ends are judged over the whole pool of views, each drawn
+once: the step is run again from its result with a vanishing rate.
 """
 
 import argparse

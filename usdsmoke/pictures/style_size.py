@@ -16,7 +16,6 @@ MOST_FINE = 0.45  # share of the fine ones that an enlarged style may have
 WORTH_IT = 0.95  # times the fine share at 1: a size with at most that is taken where none suffices
 FLAT = 0.01  # deviation of the luminance below which a style has no marks
 
-
 _LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of red, green and blue: Rec. 709
 
 
@@ -71,7 +70,7 @@ def luminance(style: np.ndarray) -> Image.Image:
     return Image.fromarray(np.asarray(style, np.float32) @ _LUMA)
 
 
-def image_size(light: Image.Image, longer_side: float) -> float:
+def least_size(light: Image.Image, longer_side: float) -> float:
     """The ``style.size`` with which marks are wide enough for voxels; 1 if they are at 1 already.
 
     Else the least of ``SIZES`` with few fine marks. Of a style that has many at any size, the one
@@ -139,7 +138,7 @@ def _used_lights(styles: Sequence[np.ndarray], config: Config) -> list[Image.Ima
 
 def _find_size(lights: Sequence[Image.Image], voxels: float, config: Config) -> float:
     longer_side = side_of_marks(voxels, config)
-    return min((image_size(light, longer_side) for light in lights), default=1.0)
+    return min((least_size(light, longer_side) for light in lights), default=1.0)
 
 
 def _spectrum(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from usdsmoke.pictures.style_size import (
     SIZES,
     find_style_size,
     fine_share,
-    image_size,
+    least_size,
     luminance,
     mean_wavelength,
     scaled_light,
@@ -63,7 +63,7 @@ def test_the_mean_wavelength_of_noise_and_of_one_colour():
 )
 def test_marks_are_enlarged_to_what_voxels_hold_and_not_further(wavelength, pixels):
     style = stripes(wavelength)
-    size = image_size(luminance(style), pixels)
+    size = least_size(luminance(style), pixels)
     here = wavelength * pixels / 96
     enlarged = next(size for size in SIZES if here * size > FINE)
     assert size == (1 if here >= LEAST_WAVELENGTH else enlarged)
@@ -71,7 +71,7 @@ def test_marks_are_enlarged_to_what_voxels_hold_and_not_further(wavelength, pixe
 
 def test_more_voxels_need_smaller_sizes_step_by_step():
     style = (stripes(2.6) + stripes(17.0)) / 2  # the wide ones do not hide the fine ones
-    steps = [SIZES.index(image_size(luminance(style), side)) for side in range(80, 150)]
+    steps = [SIZES.index(least_size(luminance(style), side)) for side in range(80, 150)]
     assert steps[0] >= 2 and steps[-1] == 0
     assert set(np.diff(steps)) == {0, -1}
 
@@ -79,7 +79,7 @@ def test_more_voxels_need_smaller_sizes_step_by_step():
 def test_a_style_as_fine_at_every_size_keeps_its_size():
     pixels = np.random.default_rng(0).random((1024, 1024, 1), dtype=np.float32)
     noise = np.broadcast_to(pixels, (1024, 1024, 3))
-    assert {image_size(luminance(noise), side) for side in (60, 100, 200)} == {1.0}
+    assert {least_size(luminance(noise), side) for side in (60, 100, 200)} == {1.0}
 
 
 @pytest.mark.parametrize("amplitude", [0.1, 0.5, 0.9])
@@ -96,13 +96,13 @@ def test_a_fine_style_is_enlarged_until_few_of_its_marks_are_fine():
     # 1.41 times as large, its mean wavelength is wide enough, but half of it is finer than 4
     enlarged = luma(scale_style(style, 96, StyleConfig(size=math.sqrt(2)), LIKE)).numpy()
     assert mean_wavelength(enlarged) > LEAST_WAVELENGTH and fine_share(enlarged) > MOST_FINE
-    assert image_size(luminance(style), 96) == 2
+    assert least_size(luminance(style), 96) == 2
 
 
 def test_a_style_that_stays_too_fine_has_the_size_with_the_fewest_fine_marks():
     pixels = np.random.default_rng(0).random((300, 300, 1), dtype=np.float32)
     noise = np.broadcast_to(pixels, (300, 300, 3))
-    assert image_size(luminance(noise), 96) == SIZES[-1]  # only there is it finer than the image
+    assert least_size(luminance(noise), 96) == SIZES[-1]  # only there is it finer than the image
     largest = luma(scale_style(noise, 96, StyleConfig(size=SIZES[-1]), LIKE)).numpy()
     assert fine_share(largest) > MOST_FINE
 
@@ -110,7 +110,7 @@ def test_a_style_that_stays_too_fine_has_the_size_with_the_fewest_fine_marks():
 @pytest.mark.parametrize("amplitude", [0.0, 1e-6, 0.005])
 def test_a_flat_style_keeps_its_size(amplitude):
     style = 0.5 + amplitude * (stripes(2.6) - 0.5)
-    assert image_size(luminance(style), 96) == 1 < image_size(luminance(stripes(2.6)), 96)
+    assert least_size(luminance(style), 96) == 1 < least_size(luminance(stripes(2.6)), 96)
 
 
 def shot_size(styles: list[np.ndarray], changes: dict) -> float:
