@@ -4,12 +4,15 @@ It loads nothing heavy: no torch, USD or OpenVDB.
 """
 
 import ctypes
+import gc
 import importlib.util
 import math
 import os
 import platform
 import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -114,6 +117,18 @@ def give_back_memory() -> None:
     trim = _find_trim()
     if trim is not None:
         trim(0)
+
+
+@contextmanager
+def no_garbage_collection() -> Iterator[None]:
+    """Python frees no objects that refer to each other meanwhile."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
 
 
 @lru_cache(maxsize=1)

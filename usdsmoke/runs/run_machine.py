@@ -8,7 +8,7 @@ manifest names the one that made it, and the result names those that differ.
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from usdsmoke.base.machine import platform_name
+from usdsmoke.base.machine import no_garbage_collection, platform_name
 from usdsmoke.base.record_format import MachineRecord
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_codes
@@ -25,7 +25,8 @@ def machine_of(job: Job) -> "Machine":
     Raises:
         ConfigError: the device is not there.
     """
-    from usdsmoke.core.smoke.device import describe_machine
+    with no_garbage_collection():  # torch makes 10^5 objects that stay: .6 s are spent on them
+        from usdsmoke.core.smoke.device import describe_machine
 
     return describe_machine(job.config.optimize)
 

@@ -8,9 +8,7 @@ frame, so pictures are enlarged to a few. Coarse features near the old border th
 where they saw the border repeated: losses change by less than a thousandth, and slopes by 3 to 5 %.
 """
 
-import gc
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache, partial
 from typing import Any, TypeVar, cast
 
@@ -18,6 +16,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
+
+from usdsmoke.base.machine import no_garbage_collection
 
 WARM_UP = 2  # runs before the recording: libraries choose their ways, tables are made
 SIDE = 64  # pixels; sides of enlarged pictures are multiples of it
@@ -57,7 +57,7 @@ class Replay:
         with torch.cuda.device(device):
             recorder, here = _recorder_of(device), torch.cuda.current_stream()
             recorder.stream.wait_stream(here)
-            with torch.cuda.stream(recorder.stream), _no_garbage():
+            with torch.cuda.stream(recorder.stream), no_garbage_collection():
                 for _ in range(WARM_UP):
                     evaluate()
                 self._graph, self._results = recorder.record(evaluate)
@@ -108,18 +108,6 @@ class _Recorder:
 @cache
 def _recorder_of(device: torch.device) -> _Recorder:
     return _Recorder(device)
-
-
-@contextmanager
-def _no_garbage() -> Iterator[None]:
-    """Python collects no garbage meanwhile: an old recording must not be freed during a new one."""
-    before = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if before:
-            gc.enable()
 
 
 def enlarged(picture: Tensor, guide: Tensor) -> tuple[Tensor, Tensor]:
