@@ -162,7 +162,7 @@ def stylize_job(
         # What all windows share, then the windows; these keep their own time.
         trains = any(volume.config.optimize.trains for volume in opened.plan.volumes)
         with clock.part("training" if trains else "preparing"):
-            record_scenes(opened, tell)
+            tell = record_scenes(opened, tell)
         check_storage(opened, to_do)
         with clock.part(ELSEWHERE):
             run_coarse_step(opened, tell)
@@ -216,7 +216,7 @@ def run_coarse(
         had_scenes = bool(opened.run.scenes)
         if not had_scenes:
             hash_frames(opened, opened.plan.tasks, tell)  # damage shows; the hashes are not used
-            record_scenes(opened, tell)
+            tell = record_scenes(opened, tell)
         was_done = not run_coarse_step(opened, tell) and had_scenes
     return _task_result(opened, None, was_done)
 
@@ -258,7 +258,7 @@ def run_window(
             task = opened.plan.task(window)
             opened.check_disk([task])
             hashes = hash_frames(opened, [task], tell)
-            record_scenes(opened, tell)
+            tell = record_scenes(opened, tell)
             check_storage(opened, [task])
             run_coarse_step(opened, tell, task.frames)
             stylize_windows(opened, [task], hashes, tell, redo)

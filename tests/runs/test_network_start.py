@@ -62,7 +62,7 @@ def test_a_trained_network_paints_frames_and_is_in_the_record(
     named = [str(shot.stage), "--style", str(shot.style), "-o", str(network)]
     assert main(["train", *named, "--iterations", "60", *options, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["loss"] < told["cold_loss"] and told["n_iterations"] == 60
+    assert told["loss"] < told["cold_loss"] and told["n_iterations"] == 60 and told["suits"]
 
     result = run(shot, "out", optimize__start=str(network), optimize__iterations=0)
     assert not any("start cold" in warning for warning in result.warnings)
@@ -79,6 +79,57 @@ def test_a_trained_network_paints_frames_and_is_in_the_record(
     assert [change.kind for change in verify(result.look_layer)] == ["start-edited"]
     network.unlink()
     assert [change.kind for change in verify(result.look_layer)] == ["start-missing"]
+
+
+def test_a_training_tells_its_plan_and_writes_nothing_for_a_dry_run(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = shot.folder / "style.safetensors"
+    settings = [f"{name}={json.dumps(value)}" for name, value in QUICK.items()]
+    named = [str(shot.stage), "--style", str(shot.style), "-o", str(network)]
+    named += [part for setting in settings for part in ("--set", setting)]
+
+    def planned(*more: str) -> dict[str, object]:
+        assert main(["train", *named, *more, "--dry-run", "--json"]) == 0
+        told: dict[str, object] = json.loads(capsys.readouterr().out)
+        return told
+
+    few, many = planned("--iterations", "50"), planned("--iterations", "500")
+    assert few["time_codes"] == [1, 3] and few["held_out"] == 2
+    assert (few["n_iterations"], many["n_iterations"]) == (50, 500)
+    assert many["seconds"] == pytest.approx(10 * float(str(few["seconds"])))
+    assert not network.exists()
+
+
+def test_a_network_that_does_not_suit_is_written_and_told_by_the_exit_code(
+    shot: Shot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = shot.folder / "style.safetensors"
+    settings = [f"{name}={json.dumps(value)}" for name, value in QUICK.items()]
+    named = [str(shot.stage), "--style", str(shot.style), "-o", str(network)]
+    named += [part for setting in settings for part in ("--set", setting)]
+    easy = ["--set", "features.layers=[learned0]"]  # for a few iterations from noise
+    assert main(["train", *named, *easy, "--iterations", "1", "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["loss"] > told["cold_loss"] and not told["suits"]
+    assert hash_file(network)
+
+
+def test_what_a_run_has_done_grows_while_it_trains_and_behind_it(
+    shot: Shot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("usdsmoke.runs.train.N_ITERATIONS", 60)
+    told: list[tuple[str, float]] = []
+    settings = QUICK | {"optimize.start": "network"}
+    stylize(
+        shot.stage, shot.style, shot.output, settings,
+        progress=lambda report: told.append((report.step, report.share)),
+    )  # fmt: skip
+    shares = [share for _, share in told]
+    assert shares == sorted(shares) and shares[-1] == 1
+    trained = [share for step, share in told if step == "train"]
+    assert len(trained) == 60 and 0 < trained[0] < trained[-1] < 1
+    assert all(share >= trained[-1] for step, share in told if step == "colour")
 
 
 def test_a_training_that_does_not_fit_the_memory_is_refused_at_once(

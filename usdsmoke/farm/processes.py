@@ -129,6 +129,7 @@ class _Pool:
         self._tasks, self._tell = tasks, tell
         self._idle: list[tuple[Connection, SpawnProcess]] = []
         self._busy: dict[Connection, tuple[int | None, SpawnProcess]] = {}
+        self._trained = 0.0  # share of the run that a training before the windows is
         self._shares: dict[int, float] = {}
 
     def run(self, windows: Sequence[int | None], n_processes: int) -> None:
@@ -189,10 +190,13 @@ class _Pool:
     def _report(self, window: int | None, report: RunProgress) -> None:
         """Progress of one window as progress of the run."""
         if window is None:
-            self._tell(replace(report, share=0.0))
+            if report.step == "train":
+                self._trained = report.share
+            self._tell(replace(report, share=self._trained))
             return
         self._shares[window] = max(report.share, self._shares.get(window, 0.0))
-        self._tell(replace(report, share=sum(self._shares.values()) / len(self._tasks.windows)))
+        done = sum(self._shares.values()) / len(self._tasks.windows)
+        self._tell(replace(report, share=self._trained + (1 - self._trained) * done))
 
 
 def _work(connection: Connection, tasks: Tasks) -> None:

@@ -48,7 +48,7 @@ from usdsmoke.base.machine import GIB, MOST_THREADS, usable_threads
 from usdsmoke.base.naming import COLOUR_CHANNELS
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.settings import Config
-from usdsmoke.core.generator.definition import training_parts
+from usdsmoke.core.generator.definition import N_ITERATIONS, training_parts
 from usdsmoke.core.sequence.controls import (
     by_themselves,
     coarse_factor,
@@ -163,17 +163,29 @@ def estimate_run(
 
 def training_seconds(frames: Sequence[FrameSize], config: Config, n_styles: int = 1) -> float:
     """What a run takes to train a network on frames; 0 where it trains none."""
+    return training_cost(frames, config, n_styles)[1] if config.optimize.trains else 0.0
+
+
+def training_cost(
+    frames: Sequence[FrameSize], config: Config, n_styles: int, n_iterations: int = N_ITERATIONS
+) -> tuple[int, float]:
+    """Iterations and seconds of a training on frames; 0 where there is nothing to paint.
+
+    Args:
+        n_iterations: at most, as for small frames, see ``training_parts``.
+    """
     sizes = [frame for frame in frames if _is_optimized(frame, config)]
-    if not (config.optimize.trains and sizes):
-        return 0.0
+    if not sizes:
+        return 0, 0.0
     frame = max(sizes, key=lambda size: size.active_voxels)
     active, _ = _refined(frame, config)
+    parts = training_parts(active, n_iterations)
     whole, work = n_styles * PIXEL_TIME * _picture_pixels(frame, config), 0.0
-    for part in training_parts(active):
+    for part in parts:
         pixels = whole * (part.voxels / active) ** (2 / 3)
         drawn = part.views * (pixels + VOXEL_TIME * part.voxels)
         work += part.iterations * (ITERATION + drawn + LEARN_TIME * part.voxels)
-    return work / _speed(config)
+    return sum(part.iterations for part in parts), work / _speed(config)
 
 
 def written_bytes(

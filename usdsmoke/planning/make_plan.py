@@ -88,7 +88,7 @@ def make_plan(
         raise kind(f"{text}{others}")
     volumes = _with_places(volumes, volume_stems(paths), config)
     costs = [_estimate(v, v.frames, v.overlap_frames, v.coarse_frames) for v in volumes]
-    training = [training_seconds([f.size for f in v.frames], v.config) for v in volumes]
+    training = [training_seconds(v.sizes, v.config, len(v.styles)) for v in volumes]
     estimate = add_estimates(costs)
     return Plan(
         source=source,

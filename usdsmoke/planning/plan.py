@@ -77,6 +77,11 @@ class VolumePlan:
         return f"the request of <{self.source.prim_path}>: {', '.join(found)}" if found else ""
 
     @property
+    def sizes(self) -> list[FrameSize]:
+        """Of the frames."""
+        return [frame.size for frame in self.frames]
+
+    @property
     def filled(self) -> list[FramePlan]:
         """The frames that hold smoke."""
         return [frame for frame in self.frames if not frame.is_empty]

@@ -109,17 +109,19 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
 
 def computed_boxes(volume: VolumePlan) -> list[tuple[int, int, int]]:
     """The boxes of the frames that are optimised, in voxels of their files."""
-    sizes = [frame.size for frame in volume.frames]
-    return [size.box for size in sizes if size.computed and size.visible]
+    return [size.box for size in volume.sizes if size.computed and size.visible]
 
 
 def price_of_detail(volume: VolumePlan, parts: int) -> tuple[float, float]:
     """How many times the time a Volume takes with ``grids.refine``, and its memory in GiB."""
-    config, sizes = volume.config, [frame.size for frame in volume.frames]
+    config, sizes = volume.config, volume.sizes
     finer = config.with_values({"grids.refine": parts})
     usual, refined = (estimate_run(sizes, c, len(volume.styles)) for c in (config, finer))
-    seconds = usual.seconds + training_seconds(sizes, config)
-    return (refined.seconds + training_seconds(sizes, finer)) / seconds, refined.memory_gib
+    before, after = (
+        cost.seconds + training_seconds(sizes, c, len(volume.styles))
+        for cost, c in ((usual, config), (refined, finer))
+    )
+    return after / before, refined.memory_gib
 
 
 def _pixels_across(config: Config, volume: VolumePlan, frames: Sequence[FramePlan]) -> float:

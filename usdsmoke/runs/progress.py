@@ -1,7 +1,7 @@
 """How far a run is, as a record; printing it is somebody else's business."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from usdsmoke.base.frame_report import Progress
 from usdsmoke.base.settings import Config
@@ -36,6 +36,11 @@ WAITING = RunProgress("wait", 0.0, 0, 0, 0.0)
 
 def ignore_progress(report: RunProgress) -> None:
     """Takes the place of a progress callback that was not given."""
+
+
+def share_of(tell: RunProgressCallback, first: float, last: float) -> RunProgressCallback:
+    """The callback of a part of a run, which begins and ends at these shares of it."""
+    return lambda report: tell(replace(report, share=first + (last - first) * report.share))
 
 
 class WorkMeter:

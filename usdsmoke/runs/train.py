@@ -17,11 +17,12 @@ from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file, hash_values
 from usdsmoke.base.resolve import FilePath, Settings, Styles
+from usdsmoke.base.sections import OWN_NETWORK
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.core.generator.definition import N_ITERATIONS
 from usdsmoke.core.generator.weights import read_notes
 from usdsmoke.core.sequence.controls import network_alone
-from usdsmoke.planning.estimate import estimate_run
+from usdsmoke.planning.estimate import estimate_run, training_cost, training_seconds
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.make_plan import check_plan
@@ -29,7 +30,7 @@ from usdsmoke.planning.plan import FramePlan, VolumePlan, named_frames
 from usdsmoke.runs.coarse import measure_scenes, measured_frames
 from usdsmoke.runs.manifests import network_file_name
 from usdsmoke.runs.opened import OpenRun
-from usdsmoke.runs.progress import RunProgress, RunProgressCallback, ignore_progress
+from usdsmoke.runs.progress import RunProgress, RunProgressCallback, ignore_progress, share_of
 from usdsmoke.runs.provenance_record import used_style_size
 from usdsmoke.usd.stage import StageOrFile
 
@@ -41,6 +42,18 @@ _N_FRAMES = 7  # that are read; one of them is held out
 _BASIS = "basis"  # note in a network's file, see ``_basis``
 _OF_LOSSES = ("views", "optics", "style", "features", "losses")  # sections of the settings
 _ALIKE = 1.05  # times a loss, of frames of one shot
+
+
+@dataclass(frozen=True)
+class TrainPlan:
+    """What a training learns from, and what it takes."""
+
+    prim: str  # path of the Volume
+    time_codes: tuple[float, ...]  # of the frames to train on
+    held_out: float  # timeCode of the frame to judge by
+    n_iterations: int  # at most
+    seconds: float  # of all iterations
+    memory_gib: float  # peak
 
 
 @dataclass(frozen=True)
@@ -56,6 +69,7 @@ class TrainResult:
     cold_iterations: int  # how many
     n_iterations: int  # of the training, that were done
     seconds: float
+    suits: bool  # False: frames would start from noise, as its loss is above ``cold_loss``
 
     def __str__(self) -> str:
         frames = count_text(len(self.time_codes), "frame")
@@ -66,6 +80,36 @@ class TrainResult:
         )
 
 
+@dataclass(frozen=True)
+class _Training:
+    """A training that has been prepared."""
+
+    target: Path
+    job: Job
+    volume: VolumePlan
+    frames: Sequence[FramePlan]  # the last one is held out
+    n_iterations: int  # as for small frames, see ``training_parts``
+    plan: TrainPlan
+
+
+def plan_training(
+    stage: StageOrFile,
+    style: Styles,
+    output: FilePath,
+    settings: Settings = None,
+    iterations: int | None = None,
+) -> TrainPlan:
+    """What ``train`` would do, and what it takes, without reading a voxel.
+
+    Args:
+        stage, style, output, settings, iterations: as of ``train``.
+
+    Raises:
+        UsdSmokeError: as ``train`` does before it reads a frame.
+    """
+    return _prepare(stage, style, output, settings, iterations).plan
+
+
 def train(
     stage: StageOrFile,
     style: Styles,
@@ -73,6 +117,7 @@ def train(
     settings: Settings = None,
     iterations: int | None = None,
     progress: RunProgressCallback | None = None,
+    planned: Callable[[TrainPlan], None] | None = None,
 ) -> TrainResult:
     """Train a network on the largest Volume of a stage, for ``optimize.start``.
 
@@ -83,6 +128,7 @@ def train(
         iterations: at most; None takes ``N_ITERATIONS``. Training ends early when a frame that is
             held out no longer improves.
         progress: called after every iteration.
+        planned: called once with the plan, before a frame is read.
 
     Raises:
         ConfigError: ``output`` has another suffix.
@@ -90,26 +136,16 @@ def train(
         UsdSmokeError: see ``usdsmoke.base.errors``; no file is written then.
         Interrupted: by Ctrl-C; likewise.
     """
-    prepare_torch_environment()
-    started, target, tell = time.monotonic(), Path(output).absolute(), progress or ignore_progress
-    if target.suffix != ".safetensors":
-        raise ConfigError(f"a network is a .safetensors file, not {target.name}. Rename it.")
-    # the folder is not made; only the checks of a run's inputs are wanted
-    request = Request(stage, style, target.with_name(f"{target.name}.run"), settings)
-    job = prepare_job(request, fits=False)
-    volume, filled = job.plan.largest_volume()
-    frames, n_iterations = _choose(filled), iterations or N_ITERATIONS
-    _check_memory(job, volume, frames)
-
-    def report(state: "TrainState") -> None:
-        n = state.n_iterations
-        share = (state.iteration + 1) / n
-        tell(RunProgress("train", 0.0, state.iteration, n, share, loss=state.loss))
+    started, tell = time.monotonic(), progress or ignore_progress
+    training = _prepare(stage, style, output, settings, iterations)
+    if planned is not None:
+        planned(training.plan)
+    target, job, volume = training.target, training.job, training.volume
 
     reader = FrameReader(job.plan)
     try:
         scene = measure_scenes(reader, job)[job.plan.volumes.index(volume)]
-        found = _train(job, reader, (volume, frames, scene), n_iterations, report)
+        found = _train(job, reader, (volume, training.frames, scene), training.n_iterations, tell)
     except KeyboardInterrupt:
         raise Interrupted(f"stopped. {target} is unchanged.") from None
     publish_file(target, _to_bytes(job, (volume, scene), found))
@@ -117,17 +153,41 @@ def train(
     return TrainResult(
         target, volume.source.prim_path, found.time_codes, found.held_out, trained.loss,
         trained.cold_loss, trained.n_cold, trained.n_iterations, time.monotonic() - started,
+        not trained.misfit,
     )  # fmt: skip
 
 
-def _check_memory(job: Job, volume: VolumePlan, frames: Sequence[FramePlan]) -> None:
-    """Refuse frames that are too large for this machine, or for ``optimize.memory_limit_gib``."""
-    config = volume.config.with_values({"optimize.start": "network"})
-    estimate = estimate_run([frame.size for frame in frames], config, len(volume.styles))
+def _prepare(
+    stage: StageOrFile,
+    style: Styles,
+    output: FilePath,
+    settings: Settings,
+    iterations: int | None,
+) -> _Training:
+    prepare_torch_environment()
+    target = Path(output).absolute()
+    if target.suffix != ".safetensors":
+        raise ConfigError(f"a network is a .safetensors file, not {target.name}. Rename it.")
+    # the folder is not made; only the checks of a run's inputs are wanted
+    request = Request(stage, style, target.with_name(f"{target.name}.run"), settings)
+    job = prepare_job(request, fits=False)
+    volume, filled = job.plan.largest_volume()
+    frames, n_iterations = _choose(filled), iterations or N_ITERATIONS
+    sizes, config = [frame.size for frame in frames], volume.config
+    config = config.with_values({"optimize.start": OWN_NETWORK})
+    # frames too large for this machine, or for optimize.memory_limit_gib, are refused
+    estimate = estimate_run(sizes, config, len(volume.styles))
     check_plan(dataclasses.replace(job.plan, estimate=estimate))
+    codes = [frame.source.time_code for frame in frames]
+    n_most, seconds = training_cost(sizes, config, len(volume.styles), n_iterations)
+    plan = TrainPlan(
+        volume.source.prim_path, tuple(sorted(codes[:-1] or codes)), codes[-1],
+        n_most, seconds, estimate.memory_gib,
+    )  # fmt: skip
+    return _Training(target, job, volume, frames, n_iterations, plan)
 
 
-def record_scenes(opened: OpenRun, tell: RunProgressCallback) -> None:
+def record_scenes(opened: OpenRun, tell: RunProgressCallback) -> RunProgressCallback:
     """Measure the scenes of a run that has begun, and train or try the networks that its frames
     start from, if no process has.
 
@@ -136,29 +196,39 @@ def record_scenes(opened: OpenRun, tell: RunProgressCallback) -> None:
     Args:
         tell: called after every iteration of a training.
 
+    Returns:
+        what is called during the rest of the run: what is done of it counts behind the training.
+
     Raises:
         ConfigError: frames without iterations would be what a network paints that does not suit.
         GridError, NonFiniteError: see ``FrameReader.read``.
         WriteFailed: the operating system refused.
     """
-    run = opened.run
+    run, plan = opened.run, opened.plan
     if run.scenes:
-        return
-    if not any(volume.config.optimize.trains for volume in opened.plan.volumes):
+        return tell
+    if not any(volume.config.optimize.trains for volume in plan.volumes):
         run.keep_scenes(_find_scenes(opened, tell))
-        return
+        return tell
+    costs = [training_seconds(v.sizes, v.config, len(v.styles)) for v in plan.volumes]
+    part = sum(costs) / plan.estimate.seconds
     with run.claim():
         run.adopt()
         if not run.scenes:
-            run.keep_scenes(_find_scenes(opened, tell))
+            run.keep_scenes(_find_scenes(opened, share_of(tell, 0.0, part)))
+            return share_of(tell, part, 1.0)
+    return tell
 
 
 def _find_scenes(opened: OpenRun, tell: RunProgressCallback) -> list[dict[str, Any]]:
-    known = [dict(scene) for scene in opened.job.scenes]
+    known, volumes = [dict(scene) for scene in opened.job.scenes], opened.plan.volumes
     scenes = known or measure_scenes(opened.reader, opened.job)
-    for number, (volume, scene) in enumerate(zip(opened.plan.volumes, scenes, strict=True)):
-        if volume.config.optimize.trains:
-            scene |= _train_own(opened, number, scene, tell)
+    learners = [n for n, volume in enumerate(volumes) if volume.config.optimize.trains]
+    for number, (volume, scene) in enumerate(zip(volumes, scenes, strict=True)):
+        if number in learners:
+            turn, n_turns = learners.index(number), len(learners)
+            own = share_of(tell, turn / n_turns, (turn + 1) / n_turns)
+            scene |= _train_own(opened, number, scene, own)
         elif not known and (words := _try_network(opened, volume, scene)):
             scene["misfit"] = words
         if not known and scene.get("misfit"):
@@ -194,13 +264,9 @@ def _train_own(
     if not filled:
         return none
 
-    def report(state: "TrainState") -> None:
-        n = state.n_iterations
-        tell(RunProgress("train", 0.0, state.iteration, n, 0.0, loss=state.loss))
-
     work = volume, _choose(filled), {**scene, **none}
     try:
-        found = _train(opened.job, opened.reader, work, N_ITERATIONS, report)
+        found = _train(opened.job, opened.reader, work, N_ITERATIONS, tell)
     except PlanError:  # there is nothing to paint in any frame
         return none
     if found.trained.misfit:
@@ -255,12 +321,13 @@ def _train(
     reader: FrameReader,
     work: tuple[VolumePlan, Sequence[FramePlan], Mapping[str, Any]],
     n_iterations: int,
-    report: Callable[["TrainState"], None],
+    tell: RunProgressCallback,
 ) -> "TrainedOnFrames":
     """A network for a Volume.
 
     Args:
         work: the Volume, the frames to train on, of which the last one is held out, and its scene.
+        tell: called after every iteration.
     """
     from usdsmoke.core.training.frames import train_on_frames
     from usdsmoke.core.views.scene import Scene
@@ -268,6 +335,12 @@ def _train(
     volume, frames, scene = work
     read = [reader.read(volume, frame) for frame in frames]
     pictures = job.pictures(volume)
+
+    def report(state: "TrainState") -> None:
+        n = state.n_iterations
+        share = (state.iteration + 1) / n
+        tell(RunProgress("train", 0.0, state.iteration, n, share, loss=state.loss))
+
     return train_on_frames(read, pictures, Scene(**scene), volume.config, n_iterations, report)
 
 

@@ -110,13 +110,17 @@ def _add_stylize(commands: Any) -> None:
         help="compute N windows at once, in processes of this machine; the result is the same "
         "(default: as many as cores and memory allow; on a GPU 1)",
     )
-    parser.add_argument(
-        "--dry-run", action="store_true", help="print the plan and its cost; write nothing"
-    )
+    _add_dry_run(parser)
     parser.add_argument(
         "--force",
         action="store_true",
         help="replace an existing result, or an unfinished run whose settings differ",
+    )
+
+
+def _add_dry_run(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--dry-run", action="store_true", help="print the plan and its cost; write nothing"
     )
 
 
@@ -137,6 +141,7 @@ def _add_train(commands: Any) -> None:
         metavar="N",
         help="largest number of training iterations (default: 1200)",
     )
+    _add_dry_run(parser)
 
 
 def _add_submit(commands: Any) -> None:

@@ -1,9 +1,9 @@
 """The command ``usdsmoke``: arguments in, one call of the package, results out.
 
 Results go to stdout, progress and messages to stderr. Exit codes: 0 ok, 1 a named error (or, for
-``inspect``, ``validate``, ``verify`` and ``rerun``, a problem that was found), 2 wrong usage,
-128 + n when stopped by signal n: 130 after Ctrl-C, 143 after a polite kill, 141 when nobody reads
-stdout any more.
+``inspect``, ``validate``, ``verify`` and ``rerun``, a problem that was found, and for ``train`` a
+network that does not suit its smoke), 2 wrong usage, 128 + n when stopped by signal n: 130 after
+Ctrl-C, 143 after a polite kill, 141 when nobody reads stdout any more.
 
 With ``--json`` stdout holds exactly one JSON value, whatever happens: the result, or
 ``{"error": {"type": ..., "message": ...}}``.

@@ -15,7 +15,7 @@ from usdsmoke.base.time_codes import find_holes, name_time_codes
 if TYPE_CHECKING:
     from usdsmoke.farm import JobBundle
     from usdsmoke.pipeline import StylizeResult, TaskResult
-    from usdsmoke.runs.train import TrainResult
+    from usdsmoke.runs.train import TrainPlan, TrainResult
     from usdsmoke.usd.rules import Finding
     from usdsmoke.usd.source_stage import SourceStage
 
@@ -288,6 +288,17 @@ def _origin(entry: Mapping[str, Any]) -> str:
     return f"<{entry['attribute']}> in {Path(entry['layer']).name}"
 
 
+def training_plan_text(plan: "TrainPlan") -> str:
+    """What a training learns from, and what it takes."""
+    is_seen = plan.held_out in plan.time_codes
+    judged = "that frame" if is_seen else f"timeCode {plan.held_out:g}, which is held out"
+    return (
+        f"training for <{plan.prim}> on {name_time_codes(plan.time_codes)}, judged by {judged}\n"
+        f"estimate: {plan.memory_gib:.1f} GiB of memory, {format_seconds(plan.seconds)} for "
+        f"{count_text(plan.n_iterations, 'iteration')}; it may end earlier"
+    )
+
+
 def training_text(result: "TrainResult") -> str:
     """A trained network, and how good it is."""
     is_seen = result.held_out in result.time_codes
@@ -299,6 +310,9 @@ def training_text(result: "TrainResult") -> str:
         f"  {result.n_iterations} iterations on {name_time_codes(result.time_codes)}, "
         f"{format_seconds(result.seconds)}",
     ]
-    if result.loss > result.cold_loss:
-        lines.append("  frames would start cold: train longer (--iterations)")
+    if not result.suits:
+        lines.append(
+            "  it does not suit this smoke: frames would start from noise instead. Train longer "
+            "(--iterations), or on fewer frames (--frames)."
+        )
     return "\n".join(lines)

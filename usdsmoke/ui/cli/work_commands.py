@@ -1,4 +1,4 @@
-"""The commands of a job: ``stylize``, ``submit``, ``assemble``."""
+"""The commands of a job: ``stylize``, ``train``, ``submit``, ``assemble``."""
 
 import argparse
 import sys
@@ -15,6 +15,7 @@ from usdsmoke.ui.cli.text import (
     result_text,
     show,
     task_text,
+    training_plan_text,
     training_text,
 )
 
@@ -57,24 +58,28 @@ def run_train(arguments: argparse.Namespace) -> int:
     """``usdsmoke train``; the exit code."""
     from rich.console import Console
 
-    from usdsmoke.runs.train import train
+    from usdsmoke.runs.train import plan_training, train
     from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
+    asked = (
+        arguments.stage,
+        arguments.style,
+        arguments.output,
+        given_settings(arguments),
+        arguments.iterations,
+    )
+    if arguments.dry_run:
+        plan = plan_training(*asked)
+        show(arguments, lambda: asdict(plan), lambda: training_plan_text(plan))
+        return 0
     with ConsoleProgress(Console(stderr=True)) as progress:
-        result = train(
-            arguments.stage,
-            arguments.style,
-            arguments.output,
-            given_settings(arguments),
-            arguments.iterations,
-            progress,
-        )
+        result = train(*asked, progress, lambda plan: progress.say(training_plan_text(plan)))
     show(
         arguments,
         lambda: asdict(result) | {"file": str(result.file)},
         lambda: training_text(result),
     )
-    return 0
+    return 0 if result.suits else 1
 
 
 def run_submit(arguments: argparse.Namespace) -> int:
