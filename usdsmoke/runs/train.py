@@ -337,8 +337,7 @@ def _train(
     pictures = job.pictures(volume)
 
     def report(state: "TrainState") -> None:
-        n = state.n_iterations
-        share = (state.iteration + 1) / n
+        n, share = state.n_iterations, state.share
         tell(RunProgress("train", 0.0, state.iteration, n, share, loss=state.loss))
 
     return train_on_frames(read, pictures, Scene(**scene), volume.config, n_iterations, report)

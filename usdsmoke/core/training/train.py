@@ -50,6 +50,7 @@ class TrainState:
 
     iteration: int  # from 0
     n_iterations: int
+    share: float  # of the work that is done: iterations on whole frames take longer
     loss: float  # running mean over the training frames
     held_out: float  # the least on the held-out frame so far; infinite before the first look
 
@@ -95,15 +96,19 @@ def train_generator(
     found = Generator.new(encode_srgb(held_out.targets.background), seed, n_octaves)
     parts, done, best = training_parts(largest, n_iterations), 0, float("inf")
     whole = sum(part.iterations for part in parts)
+    works = [part.iterations * part.voxels for part in parts]
     for number, part in enumerate(parts):
+        before, own = (work / sum(works) for work in (sum(works[:number]), works[number]))
+
+        def report(state: TrainState, before: float = before, own: float = own) -> None:
+            tell(replace(state, n_iterations=whole, share=before + own * state.share))
+
         canvases = _canvases(problems, part)
         seen = crop(held_out, N_CROPS, part.voxels)
         lesson = _Lesson(canvases, judge(seen, held_out), seed, done)
         descent = Descent(RATE * (LATER if number else 1.0), part.iterations)
         check = max(LEAST_CHECK, round(CHECK_EVERY * min(1, USUAL_VOXELS / part.voxels)))
-        found, best, n_done = lesson.learn(
-            found, descent, check, lambda state: tell(replace(state, n_iterations=whole))
-        )
+        found, best, n_done = lesson.learn(found, descent, check, report)
         done += n_done
         judging = lesson.judging
         del canvases, lesson  # before the next part takes as much memory
@@ -151,7 +156,7 @@ class _Lesson:
                 found = self._look(mean)
                 if found < best:
                     best, best_at, kept = found, done, mean.copy()
-            tell(TrainState(self.before + state.iteration, n, state.smoothed, best))
+            tell(TrainState(self.before + state.iteration, n, done / n, state.smoothed, best))
             if done - best_at > max(PATIENCE * n, check):
                 break
         assert state is not None
