@@ -75,6 +75,8 @@ class ViewPool(Generic[AnyView]):
         """
         n = min(self.n_drawn, len(self.views))  # the same view twice adds nothing
         drawn = draw_views(iteration, n, len(self.views), self.seed)
+        if isinstance(self.views, LazyList):
+            self.views.prepare(drawn)
         return accumulate(shared, [partial(loss, self.views[number]) for number in drawn]) / n
 
 
