@@ -12,7 +12,8 @@ runs that together pass through every part of the product. ``golden.json`` holds
 
 Floating-point results depend on the processor, torch and NumPy. The record names the circumstances
 of each set of hashes. Under the same circumstances every hash must be equal. Under other
-circumstances sums, centres of mass and block means must agree within 1e-3. To check a change bit by
+circumstances sums, centres of mass and block means must agree within the tolerances of
+``record``: 1e-3, and more for what an optimisation leads to. To check a change bit by
 bit on another machine, record the revision before the change there and compare with that file:
 
     git worktree add /tmp/before REVISION
@@ -23,7 +24,8 @@ bit on another machine, record the revision before the change there and compare 
 the results have changed. A changed result needs a record in docs/decisions.
 
 The runs use the command line alone, and read results with USD, OpenVDB and Pillow. They import no
-module of usdsmoke, so that they hold however its files are arranged.
+module of usdsmoke, so that they hold however its files are arranged. ``look`` is another guard: a
+small look, drawn and compared with ``look.png`` by edges, detail and colours. It calls the core.
 """
 
 __all__: list[str] = []

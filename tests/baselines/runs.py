@@ -210,7 +210,7 @@ RUNS = {
         (
             *ALONE,
             "stage.frames=1,2",
-            "losses.statistic=sliced_wasserstein",
+            "losses.statistic=gram",
             "losses.content=0.2",
             "losses.histogram=0.1",
             "losses.laplacian=0.1",
@@ -228,7 +228,7 @@ RUNS = {
         (
             "stage.frames=2",
             "shape.displacement=mixed",
-            "shape.interpolation=cubic",
+            "shape.interpolation=linear",
             "colour.init=density",
             "optics.gamma=0.4",
             "views.sampling=fixed",

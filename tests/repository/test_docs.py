@@ -110,20 +110,45 @@ def test_every_picture_has_a_command_that_exists() -> None:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=relative)
 def test_commands_and_their_options_exist(document: Path) -> None:
+    if document.name == "CHANGELOG.md" or document.parent.name == "decisions":
+        return  # these speak of their own day
+    known = set(re.findall(r"^    ([a-z-]+)\b", help_of(""), flags=re.M))
     text = document.read_text("utf-8").replace("\\\n", " ")
-    for command, rest in re.findall(r"\busdsmoke ([a-z-]+)\b([^\n`|#]*)", text):
-        if document.name == "CHANGELOG.md" or not re.search(rf"\b{command}\b", help_of("")):
-            continue
+    code = [*re.findall(r"^ *```.*?^ *```$", text, flags=re.M | re.S)]
+    code += re.findall(r"`([^`\n]+)`", prose(document))
+    plain = re.sub(r"\s#.*", "", "\n".join(code))
+    for command, rest in re.findall(r"\busdsmoke ([a-z][a-z-]+)\b([^\n|]*)", plain):
+        assert command in known, f"usdsmoke {command}"
+        options = set(re.findall(r"(?<!\S)--[a-z-]+", help_of(command).replace(",", " ")))
         for option in re.findall(r"(?<!\S)--[a-z-]+", rest):
-            assert option in help_of(command), f"usdsmoke {command} {option}"
+            assert option in options, f"usdsmoke {command} {option}"
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=relative)
 def test_settings_that_are_named_exist(document: Path) -> None:
+    if document.name == "CHANGELOG.md" or document.parent.name == "decisions":
+        return
     sections = settings()
-    for section, name in re.findall(r"`(?:--set )?(\w+)\.(\w+)[`=]", prose(document)):
-        if section in sections and document.name != "CHANGELOG.md":
+    for section, name in re.findall(r"--set ([a-z_0-9]+)\.(\w+)=", document.read_text("utf-8")):
+        assert name in sections.get(section, {}), f"{section}.{name} is no setting"
+    for section, name in re.findall(r"`(\w+)\.(\w+)[`=]", prose(document)):
+        if section in sections:
             assert name in sections[section], f"{section}.{name} is no setting"
+
+
+def test_names_in_the_recipes_exist() -> None:
+    """Functions, classes and constants that contributors are sent to."""
+    code = "\n".join(
+        source.read_text("utf-8")
+        for folder in ("usdsmoke", "tests", "benchmarks", "tools")
+        for source in (PROJECT / folder).rglob("*.py")
+    )
+    for name in ("recipes.md", "architecture.md"):
+        words = re.findall(r"`([\w.]+)(?:\([^`]*\))?`", prose(PROJECT / "docs" / name))
+        for word in words:
+            last = word.rpartition(".")[2]
+            if re.search(r"[A-Z_]", last) and last.lower() not in ("md", "name", "key"):
+                assert re.search(rf"\b{last}\b", code), f"{name}: {word}"
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=relative)
