@@ -17,9 +17,9 @@ from usdsmoke.base.resolve import recorded_settings
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import StageSource
-from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, prepare_job, recorded_request, selected_variants
+from usdsmoke.planning.networks import features_hashes
 from usdsmoke.planning.plan import FramePlan
 from usdsmoke.planning.stage_values import stage_pieces, stage_values
 from usdsmoke.runs.changes import find_changes

@@ -29,7 +29,9 @@ class Progress:
 ProgressCallback = Callable[[Progress], None]
 DIM = 0.02  # of the pictures' light: less is not seen
 TINTED = 0.05  # of the brightest channel: a style that needs the faintest one cannot be shown
-SHORTEST_WAY = 0.2  # of ``StepReport.way``; from there the optimiser's rows are right within 2
+# of ``StepReport.way``: behind less, the rows on the end of the optimisation are left out, as they
+# would be wrong by more than a factor of 2
+SHORTEST_WAY = 0.2
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ _NARROW = 1 / 32  # shorter over longer side of a picture in which little is see
 class PreviewResult:
     """What was drawn."""
 
-    files: tuple[Path, ...]  # one file, or one OpenEXR file a frame
+    files: tuple[Path, ...]  # one; OpenEXR: one a frame, and one more of its source to compare
     time_codes: tuple[float, ...]
     width: int  # of one picture
     height: int

@@ -10,6 +10,7 @@
 - ``frames``: the grids of a frame, found by header
 - ``copied``: other grids that go into the result's files as they are
 - ``frame_reader``: the fields of a frame, read
-- ``visibility``: what a shot's camera can see
-- ``features``, ``stage_values``, ``output_folder``: network file, stage values, output folder
+- ``visibility``: what a shot's camera can see, and the size of voxels in its picture
+- ``networks``: the feature network, its layers and hash; the network that frames start from
+- ``stage_values``, ``output_folder``: settings that the stage gives; the output folder
 """

@@ -50,7 +50,7 @@ from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.settings import Config
 from usdsmoke.core.generator.definition import N_ITERATIONS, training_parts
 from usdsmoke.core.sequence.controls import (
-    by_themselves,
+    are_independent,
     coarse_factor,
     network_alone,
     step_iterations,
@@ -291,7 +291,7 @@ def _frame_seconds(
     is_first = frame.window_start and octaves[1] == 1.0
     if network_alone(config) or (config.optimize.paints and is_first):
         seconds += PAINT_TIME * active / speed
-    if by_themselves(config):
+    if are_independent(config):
         return seconds
     work = sum(_step_work(step, frame, config, n_styles, octaves) for step in config.optimize.steps)
     work += _finish_time(config) * active * octaves[1] ** 3

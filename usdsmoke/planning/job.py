@@ -27,9 +27,9 @@ from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
 from usdsmoke.core.generator.weights import read_weights
 from usdsmoke.pictures import StyleImage, read_style_image, sheet_files
-from usdsmoke.planning.features import check_features
 from usdsmoke.planning.make_plan import check_plan, make_plan
 from usdsmoke.planning.materials import front_brightness
+from usdsmoke.planning.networks import check_features
 from usdsmoke.planning.output_folder import (
     check_output_folder,
     check_writable,

@@ -14,7 +14,7 @@ from usdsmoke.base.naming import frame_file_names, frame_places, volume_stems
 from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.core.sequence.controls import (
-    by_themselves,
+    are_independent,
     check_controls,
     coarse_factor,
     in_effect,
@@ -183,7 +183,7 @@ def _estimate(
         coarse=[
             replace(frame.size, window_start=frame.source.time_code in first) for frame in coarse
         ],
-        has_starts=bool(volume.coarse_runs) and not volume.is_painted,
+        has_starts=bool(volume.coarse_runs) and not volume.starts_from_network,
     )
     return replace(estimate, bytes_temporary=sum(map(_decoded_bytes, frames)))
 
@@ -280,13 +280,13 @@ def _plan_volume(
     time_codes = [frame.time_code for frame in volume.frames]
     windows = split_windows(time_codes, config.windows, first_index, frame_length)
     computed = is_computed([in_effect(config, frame.controls) for frame in volume.frames])
-    alone = by_themselves(config) or not any(computed)  # then the result is the source
-    if alone:  # there is nothing to carry or to blend
+    alone = are_independent(config) or not any(computed)
+    if alone:  # frames have nothing to carry or to blend
         windows = tuple(replace(window, overlap=(), continues=False) for window in windows)
     names = result_file_names(volume, stem)
     runs = coarse_runs(windows) if not alone and coarse_factor(config) > 1 else ()
     starts = {window.time_codes[0] for window in windows}
-    followed = frozenset() if by_themselves(config) else followed_codes(windows, runs)
+    followed = frozenset() if are_independent(config) else followed_codes(windows, runs)
     frames = []
     for frame in volume.frames:
         _read_headers(frame, headers)

@@ -8,13 +8,13 @@ from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
-from usdsmoke.core.sequence.controls import SETTINGS, by_themselves, in_effect, step_iterations
+from usdsmoke.core.sequence.controls import SETTINGS, are_independent, in_effect, step_iterations
 from usdsmoke.core.smoke.schedule import has_one_view, pool_size, views_aside
 from usdsmoke.core.style.definition import learned_layers, oriented_layers
 from usdsmoke.core.style.layers import content_layers, style_layers, vgg19_layers
 from usdsmoke.planning.copied import REPLACED
-from usdsmoke.planning.features import start_needed
 from usdsmoke.planning.materials import lights_needed, lights_omitted, materials_needed
+from usdsmoke.planning.networks import start_needed
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.planning.visibility import invisible_parts, without_camera
 
@@ -168,7 +168,7 @@ def _needed_by(config: Config, volumes: Volumes) -> list[str]:
         if config.views.camera:
             needed.append(_camera_text(config, frames))
         needed += [*lights_needed(config, frames), *start_needed(config)]
-        steps = ["colour"] if by_themselves(config) else config.optimize.steps
+        steps = ["colour"] if are_independent(config) else config.optimize.steps
         needed += [_step_text(step, config) for step in steps]
     has_gamma = all(frame.source.controls.gamma is not None for frame in frames)
     for step, is_set in (
@@ -234,7 +234,7 @@ def _omitted_steps(config: Config) -> list[Omission]:
             what += " and what is made from it (layer.scatter_colour, layer.split_rgb)"
         omitted.append(Omission(what, "optimize.steps has no colour step"))
     why = "" if "shape" in steps else "optimize.steps has no shape step"
-    if by_themselves(config):
+    if are_independent(config):
         why = "optimize.iterations is 0, and no network moves smoke"
     omitted.append(Omission("displacement of the density", why) if why else _COLUMN_SUMS)
     return omitted

@@ -105,7 +105,7 @@ class VolumePlan:
         return self.places.get(frame.source.time_code, frame.file_name)
 
     @property
-    def is_painted(self) -> bool:
+    def starts_from_network(self) -> bool:
         """Whether a network starts all that is done: windows then share no coarse step."""
         optimize = self.config.optimize
         return bool(optimize.start) and "shape" not in optimize.steps
@@ -113,7 +113,7 @@ class VolumePlan:
     @property
     def coarse_frames(self) -> tuple[FramePlan, ...]:
         """The frames of the shared coarse step: none if no window follows another."""
-        if self.is_painted:
+        if self.starts_from_network:
             return ()
         codes = {code for run in self.coarse_runs for code in run}
         return tuple(frame for frame in self.frames if frame.source.time_code in codes)

@@ -105,8 +105,8 @@ def fine_marks_remarks(volume: VolumePlan, styles: Sequence[np.ndarray]) -> list
 def style_remarks(volume: VolumePlan, scene: Mapping[str, Any]) -> list[str]:
     """That a style is enlarged, because its marks are too fine for a measured scene."""
     size, refine = scene.get("style_size", 1.0), scene.get("style_refine", 0)
-    is_painted = any(not frame.is_empty for frame in volume.frames)
-    if size == 1 or not (volume.config.style.is_size_open and is_painted):
+    has_smoke = any(not frame.is_empty for frame in volume.frames)
+    if size == 1 or not (volume.config.style.is_size_open and has_smoke):
         return []
     advice = f". For smaller marks set grids.refine={refine}: it divides voxels into {refine**3}"
     return [

@@ -18,9 +18,9 @@ from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.sections import OWN_NETWORK, OptimizeConfig
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.pictures import StyleImage
-from usdsmoke.planning.features import features_hashes
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import FileDigest, Job, selected_variants
+from usdsmoke.planning.networks import features_hashes
 from usdsmoke.planning.plan import Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_pieces
 from usdsmoke.runs.changes import Changes, find_changes

@@ -136,4 +136,4 @@ def has_coarse_step(run: Run, volume_number: int, volume: VolumePlan) -> bool:
     """Whether a Volume's windows share a coarse step; also where a network should have painted, but
     does not suit the smoke."""
     is_cold = bool(run.scenes and run.scenes[volume_number].get("misfit"))
-    return bool(volume.coarse_runs) and (is_cold or not volume.is_painted)
+    return bool(volume.coarse_runs) and (is_cold or not volume.starts_from_network)

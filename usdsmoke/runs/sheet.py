@@ -151,9 +151,9 @@ class _Shown:
         from usdsmoke.core.rays.media import make_media
 
         to_stage, emission = _to_stage(self.volume, self.frame), painted[0]
-        is_painted, (grey, coloured) = painted != (None, None), self.extinctions
-        gamma_w = coloured if is_painted else grey
-        if is_painted and self.scattering.lights:
+        has_colours, (grey, coloured) = painted != (None, None), self.extinctions
+        gamma_w = coloured if has_colours else grey
+        if has_colours and self.scattering.lights:
             from usdsmoke.core.views.lighting import lit_emission
 
             emission = lit_emission(density, painted, to_stage, gamma_w, self.scattering, view)

@@ -13,7 +13,7 @@ from usdsmoke.base.json_records import read_json
 from usdsmoke.base.machine import give_back_memory, usable_cpus
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.storage import check_half
-from usdsmoke.core.sequence.controls import by_themselves, frame_config
+from usdsmoke.core.sequence.controls import are_independent, frame_config
 from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
 from usdsmoke.runs.budget import Finding, PartClock, WindowFindings, timed_items
 from usdsmoke.runs.coarse import coarse_starts, read_scene, settle_start
@@ -210,7 +210,7 @@ def _stylize_window(
         job.plan.source.time_codes_per_second,
         WindowStart(coarse_starts(run, task), carried),
     )
-    if by_themselves(task.volume.config):  # a frame takes no longer than writing the one before
+    if are_independent(task.volume.config):  # a frame takes no longer than writing the one before
         results = made_ahead(results)
     for place, (frame, stylized) in enumerate(zip(to_do, results, strict=True)):
         progress.writing(frame.source.time_code)

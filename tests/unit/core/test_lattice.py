@@ -64,31 +64,6 @@ def test_values_go_from_one_octave_s_box_to_another_s_through_space():
     assert torch.allclose(coarse.sample(values, inside)[:, 0], inside @ slope, atol=1e-9)
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 1), (3, 2, 5), (4, 7, 6)])
-def test_a_coarser_lattice_fills_the_same_box_with_evenly_placed_voxels(shape):
-    """Voxel m of n is centred at (m + 1/2) / n of the box, whether or not n divides its voxels."""
-    fine = surround(smoke_of(puff(9), affine(2, mirrored=True)), 1)
-    coarse = fine.coarsened((*shape, 4))
-    assert coarse.shape == shape
-    corners = [
-        (lattice.low + np.array(share) * lattice.shape - 0.5) @ lattice.index_to_stage[:3, :3]
-        + lattice.index_to_stage[3, :3]
-        for share in np.ndindex(2, 2, 2)
-        for lattice in (fine, coarse)
-    ]
-    assert np.array(corners[::2]) == pytest.approx(np.array(corners[1::2]), abs=1e-12)
-    shares = np.stack([(np.array(m) + 0.5) / shape for m in np.ndindex(shape)])
-    places = corners[0] + (shares * fine.shape) @ fine.index_to_stage[:3, :3]
-    assert coarse.positions().numpy() == pytest.approx(places, abs=1e-12)
-
-
-def test_a_lattice_coarsened_to_its_own_shape_is_itself():
-    lattice = surround(smoke_of(puff(9), affine(0)), 1)
-    same = lattice.coarsened(lattice.shape)
-    assert torch.allclose(same.positions(), lattice.positions(), atol=1e-12)
-    assert same.spacing == pytest.approx(lattice.spacing)
-
-
 def test_growing_adds_one_voxel_on_every_side_but_not_across_a_slab():
     mask = torch.zeros(5, 1, 6, dtype=torch.bool)
     mask[2, 0, 3] = mask[0, 0, 0] = True

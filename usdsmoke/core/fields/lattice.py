@@ -35,16 +35,6 @@ class Lattice:
         sides = np.linalg.norm(self.index_to_stage[:3, :3], axis=1)
         return float(sides[0]), float(sides[1]), float(sides[2])
 
-    def coarsened(self, shape: Sequence[int]) -> "Lattice":
-        """The same box divided into fewer voxels; ``shape`` may have further entries."""
-        coarse = tuple(int(n) for n in tuple(shape)[:3])
-        scale = np.array(self.shape) / np.array(coarse)
-        place = np.diag([*scale, 1.0])
-        place[3, :3] = self.low + 0.5 * scale - 0.5  # voxel m is centred at (m + 1/2) / n
-        return Lattice(
-            np.zeros(3, np.int64), cast(tuple[int, int, int], coarse), place @ self.index_to_stage
-        )
-
     def matrices_from(self, coarse: "Lattice") -> list[Tensor]:
         """Matrices [I i] float64 that interpolate linearly from another lattice along each axis.
 

@@ -37,7 +37,7 @@ def coarse_frames(
 ) -> Iterator[CoarseStart]:
     """The shared start of every frame of a shot, in order; arguments as of ``stylize_window``.
 
-    Where a network paints, it is that of the shape step alone.
+    Where frames start from a network, the coarse step is that of the shape step alone.
 
     Frames that are left out (empty ones) have an empty start. A frame's own controls apply here as
     they do in the windows.

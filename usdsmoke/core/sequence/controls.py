@@ -151,7 +151,7 @@ def network_alone(config: Config) -> bool:
     return config.optimize.paints and not any(step_iterations(config, "colour"))
 
 
-def by_themselves(config: Config) -> bool:
+def are_independent(config: Config) -> bool:
     """Whether no frame has anything from another one: nothing is moved, carried or blended."""
     moves = "shape" in config.optimize.steps and any(step_iterations(config, "shape"))
     return network_alone(config) and not moves

@@ -68,7 +68,7 @@ def frame_errors(frame: PaintedFrame) -> FrameErrors:
     Args:
         frame: at the end of its chain.
     """
-    if not _is_wanted(frame) or frame.alone:
+    if not _is_wanted(frame) or frame.independent:
         return FrameErrors()
     quadrature = None
     view = fit_blocks(_views(frame, 1, frame.config.optimize.seed)[0])
@@ -251,7 +251,7 @@ def painted_frame(frame: PaintedFrame, view: View) -> Painted:
     here = slice(None) if share is None else share > 0
     part = 1.0 if share is None else share[share > 0, None]
     light[here] = decode_srgb(paint[1]) * (frame.config.optimize.strength * part)
-    if (lighting := frame.lighting()) is not None and lighting.is_painted:
+    if (lighting := frame.lighting()) is not None and lighting.weighs_light:
         light *= lighting.on(smoke.positions).scattered(view.forward)
     return Painted(smoke, light)
 

@@ -79,7 +79,7 @@ def run_frames(
     # shape: find each frame's displacement, starting from the frame before
     # move: average it with the next frame's, and move the density
     moved: Iterator[MovedFrame]
-    if "shape" in steps and not context.alone:
+    if "shape" in steps and not context.independent:
         shaped = _chain(opened, ShapedFrame, partial(_shape, context))
         averaged = starmap(partial(_average, context), _with_next(shaped))
         moved = map(partial(_move, context), averaged)
@@ -87,7 +87,7 @@ def run_frames(
         moved = (advance(frame, MovedFrame) for frame in opened)
 
     # paint: find each frame's colours, starting from the frame before
-    if context.alone:
+    if context.independent:
         return (_paint_alone(context, frame) for frame in moved)
     if "colour" in steps:
         painted = _chain(moved, PaintedFrame, partial(_paint, context))
@@ -233,7 +233,7 @@ def _paint(context: WindowContext, frame: MovedFrame, before: PaintedFrame | Non
 
         def compare(views: Sequence[ColourView], colours: Tensor) -> None:
             nonlocal unseen  # here, while the maps of the pool are there
-            unseen = None if context.alone else unseen_views(frame, problem, colours, views)
+            unseen = None if context.independent else unseen_views(frame, problem, colours, views)
 
         if context.generator is not None and paint is None and start is not None:
             colours, ends, n_views = refine_painted(problem, iterations, start, watch, compare)
@@ -257,7 +257,7 @@ def _paint_alone(context: WindowContext, frame: MovedFrame) -> PaintedFrame:
     """The frame with colours that owe nothing to other frames."""
     if frame.left_out:
         return advance(frame, PaintedFrame)
-    return replace(_paint(context, frame, None), alone=True)
+    return replace(_paint(context, frame, None), independent=True)
 
 
 def _colour_start(
@@ -278,7 +278,7 @@ def _colour_start(
         return start_colours(before, frame.coarse, transit, painted, seed)
     if before is None and len(painted.ijk):
         return generator.paint(painted, frame.scene.gamma_w, seed)
-    return start_colours(before, None, transit, painted, seed)  # the coarse pattern is another
+    return start_colours(before, None, transit, painted, seed)  # the coarse step starts from noise
 
 
 # finish

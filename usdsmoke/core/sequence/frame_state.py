@@ -22,7 +22,7 @@ from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence.controls import (
-    by_themselves,
+    are_independent,
     frame_config,
     step_iterations,
     without_network,
@@ -69,7 +69,7 @@ class WindowContext:
     watch: Callable[[float], Watch]  # by timeCode
     known: Carried | None = None  # of a frame that is not optimised again
     generator: Generator | None = None  # paints what colours start from, without a neighbour
-    alone: bool = False  # frames have nothing from each other, see ``controls.by_themselves``
+    independent: bool = False  # frames, of each other: see ``controls.are_independent``
 
     def transit(self, earlier: "OpenedFrame", later: "OpenedFrame") -> Transit:
         """From a frame to a later one.
@@ -136,8 +136,8 @@ class OpenedFrame:
         A frame that starts from the shared coarse step leaves out the octaves that were done there.
         """
         iterations = step_iterations(self.config, step, is_warm, len(self.smoke.ijk))
-        is_painted = step == "colour" and self.config.optimize.paints  # by a network
-        if is_warm or is_painted or self.coarse is None:
+        by_network = step == "colour" and self.config.optimize.paints
+        if is_warm or by_network or self.coarse is None:
             return iterations
         n_done = self.coarse.n_octaves(len(iterations))
         return [0 if number < n_done else n for number, n in enumerate(iterations)]
@@ -161,8 +161,8 @@ class OpenedFrame:
         optics = config.optics
         scattering = Scattering(lights, config.albedo, optics.anisotropy, optics.bounces)
         found = light_smoke(smoke, self.scene.gamma_w, scattering.exposed(self.scene.stops))
-        is_painted = config.colour.target == "albedo"
-        return None if found is None else replace(found, is_painted=is_painted)
+        weighs = config.colour.target == "albedo"
+        return None if found is None else replace(found, weighs_light=weighs)
 
     def problem(self, smoke: ActiveSmoke) -> StepProblem:
         """What a step works on."""
@@ -201,7 +201,7 @@ class PaintedFrame(MovedFrame):
 
     painted: ActiveSmoke | None = None
     colours: Tensor | None = None  # display-encoded [N 3], of the painted voxels
-    alone: bool = False  # the next frame takes nothing from this one
+    independent: bool = False  # the next frame takes nothing from this one
     n_views: int = 0  # that its last octave had; 0: ``views.pool``
     unseen: Estimate | None = None  # of views outside the pool; None: not looked at yet
 
@@ -223,7 +223,7 @@ class PaintedFrame(MovedFrame):
         steps, carried = self.config.optimize.steps, self.carried
         if carried is None or not self.in_effect:
             return None
-        if self.alone:
+        if self.independent:
             return Carried(self.time_code)
         is_whole = "shape" not in steps or carried.unclamped is not None
         return carried if is_whole and ("colour" not in steps or self.paint is not None) else None
@@ -251,7 +251,7 @@ def make_context(
     Raises:
         FeatureError: see ``Generator.from_file``.
     """
-    device, generator, alone = choose_device(config.optimize), None, by_themselves(config)
+    device, generator, independent = choose_device(config.optimize), None, are_independent(config)
     if config.optimize.start and scene.misfit:
         config = without_network(config)
     if config.optimize.paints:
@@ -268,7 +268,7 @@ def make_context(
         starts,
         watch,
         generator=generator,
-        alone=alone,
+        independent=independent,
     )
 
 

@@ -1,4 +1,6 @@
-"""Where a frame's optimisation starts: its neighbour's result, and the shot's coarse result.
+"""What a frame takes from its neighbour's result and from the shot's coarse result, to start from.
+
+Without both, ``frame_loop`` starts it from noise or from what a network paints.
 
 The coarse result is made once for the whole shot and fixes what windows have in common: the places
 of the style. The neighbour's result has the detail.
@@ -110,9 +112,8 @@ def start_colours(
     Args:
         before: the neighbour's painted smoke and its colours.
         coarse: this frame's.
-        mover: the earlier of the two frames: its velocity carries smoke to the later one.
+        transit: the way of the smoke from the neighbour; None: there is no neighbour.
         painted: this frame's painted smoke.
-        seconds: since the neighbour.
         seed: of the noise for new smoke.
     """
     if len(painted.ijk) == 0:

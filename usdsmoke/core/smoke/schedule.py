@@ -9,7 +9,9 @@ ALL_ROUND = (180.0, 20.0)
 AROUND_CAMERA = (12.0, 6.0)
 # of so many views around a camera one is of another side: in the finest octave, in coarser ones
 ASIDE, COARSE_ASIDE = 4, 2
-MOST_ALIKE = 60_000  # voxels: frames with more are learned in fewer iterations
+# Voxels; behind a network, most iterations of frames with more are done on larger voxels
+# (decision 054), and a network is trained on them in fewer iterations
+MOST_ALIKE = 60_000
 BEHIND = 0.4  # of the finest octave's iterations: behind a network
 COARSER = 0.75  # of the iterations behind a network: on larger voxels, if there are more
 # From so many voxels on, the shape step moves blocks of two: it takes a third to a half of the

@@ -5,9 +5,9 @@ the albedo that weighs the light in them (``colour.target``), in [0, 1]. The den
 Octaves go coarse to fine; a finer one starts from the interpolated colours of the one before. The
 first one starts from white noise, which density multiplies in the picture, as the paper does.
 
-Colours keep ``colour_rules`` all along. At the end, voxels that hardly any light of the pictures
-comes from take the colours of the smoke around them: what no view sees would keep the noise that it
-starts with.
+Colours keep ``colour_rules`` all along. At the end of each octave, voxels that hardly any light of
+the pictures comes from take the colours of the smoke around them: what no view sees would keep the
+noise that it starts with.
 """
 
 import math

@@ -58,16 +58,16 @@ def _light(
     if lighting is None:
         return None
     shown, lit_white = _all_pixels([view.shown(linear) for view in views]), _lit(views, here)
-    lamps = shown if lighting.is_painted else _all_pixels(lit_white)
+    lamps = shown if lighting.weighs_light else _all_pixels(lit_white)
     total, brightness = float(shown.sum()), _brightness(views, lit_white)
     if len(brightness) == 0:
         return None
     channels = _all_pixels(lit_white).sum(0)
     brightness = brightness / max(problem.targets.white, 1e-3)
-    lit, target = float(brightness.quantile(_LIT)), 1.0 if lighting.is_painted else _ADVISED
+    lit, target = float(brightness.quantile(_LIT)), 1.0 if lighting.weighs_light else _ADVISED
     return LightReport(
         share=float(lamps.sum()) / total if total > 0 else 0.0,
-        outshone=0.0 if lighting.is_painted else float((brightness > 1).double().mean()),
+        outshone=0.0 if lighting.weighs_light else float((brightness > 1).double().mean()),
         reach=lit,
         advised=_advised(problem.scene.stops, target / lit) if lit > 0 else None,
         faintest=float(channels.min() / channels.max()) if float(channels.max()) > 0 else 1.0,

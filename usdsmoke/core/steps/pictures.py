@@ -215,7 +215,7 @@ def prepare_views(
         light = scattered = None
         if lit is not None:
             light = lit.scattered(views[number].forward)
-        if light is not None and lighting is not None and not lighting.is_painted:
+        if light is not None and lighting is not None and not lighting.weighs_light:
             scattered, light = image.apply(light), None
         return ColourView(image, alpha, THIN / exposure, scattered=scattered, light=light)
 

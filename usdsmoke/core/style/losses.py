@@ -33,7 +33,12 @@ from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
 from usdsmoke.core.style.features import Network, independent_layers
 from usdsmoke.core.style.nearest import nearest_distances, thin_out
-from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
+from usdsmoke.core.style.quantiles import (
+    at_least_single,
+    quantile_distance,
+    quantile_table,
+    random_directions,
+)
 from usdsmoke.core.style.sliced import sliced_distance
 
 N_DIRECTIONS = 32  # of sliced Wasserstein, for each layer of a picture
@@ -222,8 +227,8 @@ class _LayerTarget:
 
     def __init__(self, maps: Tensor, seed: int) -> None:
         rms = maps.float().square().mean(dim=(0, 2, 3)).sqrt()
-        self._scale = (1 / (rms.clamp_min(LEAST_RMS) + 1e-3)).to(_wide(maps))
-        self._style = _wide(_flat(maps)) * self._scale[:, None]  # [C P]
+        self._scale = (1 / (rms.clamp_min(LEAST_RMS) + 1e-3)).to(at_least_single(maps))
+        self._style = at_least_single(_flat(maps)) * self._scale[:, None]  # [C P]
         self._seed = seed
         self._slices: dict[int, tuple[Tensor, Tensor]] = {}
 
@@ -247,14 +252,14 @@ class _LayerTarget:
 
     def gram_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
         """|G - G_S| / |G_S|, smoothed at 0; G has a constant channel, whose products are means."""
-        flat = _wide(_flat(maps))
+        flat = at_least_single(_flat(maps))
         small = None if guide is None else _small(guide, flat.new_empty(1, *maps.shape[1:]))[0]
         return cast(Tensor, _GramDistance.apply(flat, small, self._scale, self._gram))
 
     def histogram_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
         """Root mean square way from the picture's features to the style's, channel by channel."""
         weights = None if guide is None else _small(guide, maps).square()[0]
-        scaled = _wide(_flat(maps)) * self._scale[:, None]
+        scaled = at_least_single(_flat(maps)) * self._scale[:, None]
         return torch.sqrt(quantile_distance(scaled, weights, self._table) + 1e-8)
 
     def nearest_distance(self, maps: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
@@ -263,7 +268,7 @@ class _LayerTarget:
         Plus ``BACK`` times the way from the style's features to the nearest of the draw's.
         """
         weights = None if guide is None else _small(guide, maps).square()[0]
-        scaled = _wide(_flat(maps)) * self._scale[:, None]
+        scaled = at_least_single(_flat(maps)) * self._scale[:, None]
         there, back = nearest_distances(scaled, weights, self._thinned, draw)
         way = torch.sqrt(there + 1e-8)
         return way + BACK * torch.sqrt(back + 1e-8) if self._varies else way
@@ -336,7 +341,7 @@ def gram_matrix(maps: Tensor, guide: Tensor | None = None) -> Tensor:
 
     Gradients: through ``maps``.
     """
-    flat = _wide(_flat(maps))
+    flat = at_least_single(_flat(maps))
     if guide is None:
         return flat @ flat.T / flat.shape[1]
     small = _small(guide, maps)
@@ -372,11 +377,6 @@ def _some(features: Tensor, most: int, seed: int) -> Tensor:
 def _flat(maps: Tensor) -> Tensor:
     """[C P] of maps [1 C h w]: a view, also of gradients, whatever lies next to what in memory."""
     return maps.flatten(2).squeeze(0)
-
-
-def _wide(maps: Tensor) -> Tensor:
-    """At least float32, as sums of halves lose the small ones."""
-    return maps.float() if maps.dtype in (torch.float16, torch.bfloat16) else maps
 
 
 def _small(guide: Tensor, maps: Tensor) -> Tensor:

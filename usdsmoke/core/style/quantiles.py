@@ -46,7 +46,7 @@ def quantile_table(values: Tensor, n: int = 256) -> Tensor:
             "Give [C P] with P >= 1, and n >= 1."
         )
     ascending = _ascending(at_least_single(values.detach()))
-    return _at_shares(ascending, _middles(n, ascending))
+    return quantiles_at(ascending, _middles(n, ascending))
 
 
 def quantile_distance(values: Tensor, weights: Tensor | None, table: Tensor) -> Tensor:
@@ -119,15 +119,15 @@ def _match(order: Tensor, share: Tensor | None, table: Tensor) -> Tensor:
         table: [C n].
     """
     if share is None:
-        matched = _at_shares(table, _middles(order.shape[1], table))
+        matched = quantiles_at(table, _middles(order.shape[1], table))
     else:
         ordered = share[order]
         below = torch.cumsum(ordered, dim=1).sub_(ordered, alpha=0.5)
-        matched = _at_shares(table, below)
+        matched = quantiles_at(table, below)
     return torch.empty_like(matched).scatter_(1, order, matched)
 
 
-def _at_shares(quantiles: Tensor, share: Tensor) -> Tensor:
+def quantiles_at(quantiles: Tensor, share: Tensor) -> Tensor:
     """Rows [C n] of quantiles at (k + 1/2) / n, read linearly at shares [P] or [C P]; [C P]."""
     n = quantiles.shape[1]
     position = (share * n - 0.5).clamp_(0, n - 1)

@@ -15,6 +15,7 @@ from usdsmoke.core.style.quantiles import (
     at_least_single,
     check_weights,
     quantile_distance,
+    quantiles_at,
     weight_share,
 )
 
@@ -120,7 +121,7 @@ def _match(samples: Tensor, share: Tensor, table: Tensor, n_bins: int) -> Tensor
     counted = _count(number.add(first * n_bins).view(-1), share, len(samples) * n_bins)
     edges = torch.zeros(len(samples), n_bins + 1, dtype=samples.dtype, device=samples.device)
     edges[:, 1:] = counted.view(len(samples), n_bins).double().cumsum(dim=1)
-    matched = _quantiles_at(table, edges)
+    matched = quantiles_at(table, edges)
     near = number.add_(first * (n_bins + 1)).view(-1)
     flat, rise = matched.view(-1), torch.zeros_like(matched)
     rise[:, :-1] = matched.diff(dim=1)
@@ -136,12 +137,3 @@ def _count(number: Tensor, share: Tensor, n: int) -> Tensor:
     whole = (share.double() * WHOLE).long().repeat(len(number) // len(share))
     counted = torch.zeros(n, dtype=torch.int64, device=number.device)
     return counted.index_add_(0, number, whole).double() / WHOLE
-
-
-def _quantiles_at(table: Tensor, share: Tensor) -> Tensor:
-    """Rows [D n] of quantiles at (k + 1/2) / n, read linearly at shares [D m]; [D m]."""
-    n = table.shape[1]
-    position = (share * n - 0.5).clamp_(0, n - 1)
-    lower = position.long().clamp_(max=max(n - 2, 0))
-    upper = (lower + 1).clamp_(max=n - 1)
-    return torch.lerp(table.gather(1, lower), table.gather(1, upper), position - lower)

@@ -34,7 +34,7 @@ class Lighting:
     smoke: ActiveSmoke  # all of it
     gamma_w: float  # extinction per density, 1/stage unit
     scattering: Scattering
-    is_painted: bool = False  # colours weigh this light; else they are emitted beside it
+    weighs_light: bool = False  # colours weigh this light; else they are emitted beside it
 
     def on(self, positions: Tensor) -> "LitPoints":
         """The light at points.

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from usdsmoke.base.frame_report import FrameReport
-from usdsmoke.core.sequence.controls import by_themselves
+from usdsmoke.core.sequence.controls import are_independent
 from usdsmoke.core.smoke.schedule import has_one_view
 from usdsmoke.planning.plan import FramePlan, VolumePlan
 
@@ -30,7 +30,7 @@ class PlannedVolume:
     @property
     def no_shape(self) -> str:
         """Why there is nothing of the shape step."""
-        alone = _NO_ITERATIONS if by_themselves(self.plan.config) else ""
+        alone = _NO_ITERATIONS if are_independent(self.plan.config) else ""
         return self.without_step("shape") or alone or self.idle
 
     @property
@@ -48,7 +48,7 @@ class PlannedVolume:
     def no_estimates(self) -> str:
         """Why nothing is estimated of the finished frames."""
         config = self.plan.config
-        if by_themselves(config):
+        if are_independent(config):
             return _NO_ITERATIONS
         return self.idle or ("" if config.optimize.error_budget else "optimize.error_budget is off")
 
@@ -74,7 +74,7 @@ class PlannedVolume:
     def no_chain(self, n: int) -> str:
         """Why no frame is compared with the n-th before it."""
         windows = self.plan.windows
-        if by_themselves(self.plan.config):
+        if are_independent(self.plan.config):
             return _NO_ITERATIONS
         if n > 1 and len(self.plan.frames) <= n:
             return f"there are fewer than {n + 1} frames"
@@ -97,7 +97,7 @@ class PlannedVolume:
     def no_overlap(self) -> str:
         """Why no frame is computed twice."""
         windows = self.plan.config.windows
-        if by_themselves(self.plan.config):
+        if are_independent(self.plan.config):
             return _NO_ITERATIONS
         if len(self.plan.windows) == 1:
             return "there is one window only"

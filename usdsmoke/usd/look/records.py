@@ -9,6 +9,7 @@ from usdsmoke.base.naming import EMISSION, look_suffix
 from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.volume import LightSource, StageSource, VolumeSource, WrittenFrame
 from usdsmoke.usd.field_samples import held_time_code
+from usdsmoke.usd.schema import EMISSION_ABSOLUTE
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class StylizedVolume:
     )  # relationship name: name of its grid in the written files
     empty_file: str = ""  # absolute; a VDB whose colour grids have no voxel
     empty_hash: str = ""  # its content hash, see ``vdb.content_hash``; "" when it is not known
-    emission_mode: str = "absolute"  # token of usdSmoke:emissionMode
+    emission_mode: str = EMISSION_ABSOLUTE  # token of usdSmoke:emissionMode
     styles: tuple[str, ...] | None = None  # "name sha256" of each image; None: those of the run
     seed: int | None = None  # None: the run's
     albedo: float = 0.0  # share of the light that is scattered; 0: no light

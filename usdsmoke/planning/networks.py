@@ -1,5 +1,5 @@
-"""The networks of a run, without torch: the features by which it compares pictures, and their hash;
-the one that frames start from."""
+"""The networks of a run, without torch: the one whose features pictures are compared by, with its
+hash, and the one that frames start from."""
 
 from collections.abc import Iterable
 from pathlib import Path
