@@ -28,8 +28,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.settings import Config
 from usdsmoke.core.fields.displacement import clamp_displacement, from_potential
 from usdsmoke.core.fields.potential import border_mask
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb

@@ -19,10 +19,10 @@ import torch
 
 from benchmarks.control_scenes import paint_styles
 from benchmarks.shape_cost import make_plume
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.sections import ViewsConfig
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import CameraSource, DenseField, VolumeFrame
+from usdsmoke.config.look_sections import ViewsConfig
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import encode_srgb

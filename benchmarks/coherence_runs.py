@@ -8,9 +8,9 @@ import numpy as np
 
 from benchmarks.control_scenes import FRAMES_PER_SECOND, THINNEST, load_example, paint_styles
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.coarse import CoarseStart, coarse_frames
 from usdsmoke.core.sequence.frame_loop import run_frames

@@ -24,7 +24,7 @@ from benchmarks.coherence_runs import (
     simulate_plume,
     some_frames,
 )
-from usdsmoke.base.resolve import resolve_config
+from usdsmoke.config.resolve import resolve_config
 
 __all__ = [
     "ALONE",

@@ -14,8 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 from benchmarks.control_scenes import fading_mask
 from benchmarks.display import encode_display
 from benchmarks.splats import display_picture, grey_picture, render_view
-from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window
 from usdsmoke.core.style.losses import StyleTarget
 from usdsmoke.core.views.scene import Scene, measure_scene

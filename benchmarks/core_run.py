@@ -30,8 +30,8 @@ def main() -> None:
 
 
 def _run_new(job: dict[str, Any]) -> dict[str, Any]:
-    from usdsmoke.base.resolve import resolve_config
     from usdsmoke.base.volume import DenseField, VolumeFrame
+    from usdsmoke.config.resolve import resolve_config
     from usdsmoke.core.sequence.error_estimates import painted_frame
     from usdsmoke.core.sequence.frame_loop import run_frames
     from usdsmoke.core.sequence.frame_state import make_context
@@ -59,7 +59,6 @@ def _run_new(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def _run_be60f8a(job: dict[str, Any]) -> dict[str, Any]:
-    from usdsmoke.config import Config, config_to_dict, resolve_config
     from usdsmoke.core.calibrate import calibrate
     from usdsmoke.core.chain import run_chain
     from usdsmoke.core.error_estimates import painted_frame
@@ -69,6 +68,7 @@ def _run_be60f8a(job: dict[str, Any]) -> dict[str, Any]:
     from usdsmoke.error_choice import choose_settings
     from usdsmoke.volume import DenseField, VolumeFrame
 
+    from usdsmoke.config import Config, config_to_dict, resolve_config
     from usdsmoke.core.views import orbit_view
 
     frame, styles = (

@@ -22,8 +22,8 @@ from torch import Tensor
 
 from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import frame_of, paint_styles, simulate_smoke
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, activate, octaves_to_do, sample_colours
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
 from usdsmoke.core.steps.colour import initial_colours, run_colour_step

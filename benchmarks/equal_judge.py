@@ -15,9 +15,9 @@ from benchmarks.display import composite, mean_colour
 from benchmarks.held_out import Result, cover_box, draw_march, fit_view, held_out_angles
 from benchmarks.measures import score_views
 from benchmarks.stages import PLUME_FILE
-from usdsmoke.base.sections import GridsConfig
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.run_sections import GridsConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.schedule import view_ranges
 from usdsmoke.core.smoke.srgb import encode_srgb
 from usdsmoke.core.steps.targets import make_targets

@@ -32,9 +32,9 @@ from benchmarks.circumstances import circumstances
 from benchmarks.equal_judge import Judge, find_scenes
 from benchmarks.equal_report import Comparison, Point, render_report
 from usdsmoke.base.errors import UsdSmokeError
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.stylize import stylize_window
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.targets import make_targets

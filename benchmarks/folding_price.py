@@ -25,7 +25,7 @@ from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import paint_styles
 from benchmarks.told_true_scenes import Scene, make_scenes
 from benchmarks.true_errors import FOLDED, READ_TWICE, UNREAD, unevenness
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.fields import flow
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.sequence.frame_loop import run_frames

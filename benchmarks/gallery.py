@@ -33,8 +33,8 @@ from benchmarks.splats import render_view
 from benchmarks.stages import PLUME_FILE
 from benchmarks.style_scores import FRONT
 from usdsmoke.base.errors import UsdSmokeError
-from usdsmoke.base.sections import StyleConfig
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.config.look_sections import StyleConfig
 from usdsmoke.core.smoke.schedule import ALL_ROUND, AROUND_CAMERA
 from usdsmoke.core.style.style_image import scale_style
 

@@ -13,8 +13,8 @@ from benchmarks.display import composite, encode_display, mean_colour
 from benchmarks.measures import outlier_share, score_views
 from benchmarks.raymarch import march_rays
 from benchmarks.splats import render_fields
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.usd.schema import EMISSION_ABSOLUTE, EMISSION_MODE
 from usdsmoke.vdb.colour_grids import absolute_emission

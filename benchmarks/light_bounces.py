@@ -23,8 +23,8 @@ import torch
 
 from benchmarks.circumstances import circumstances
 from benchmarks.lights import field_of, lumpy_ball, our_picture
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField, LightSource, Scattering
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.views.bounces import KEPT, SOFTER, TERMS
 from usdsmoke.core.views.cameras import View, orbit_view

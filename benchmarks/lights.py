@@ -20,8 +20,8 @@ import torch.nn.functional as F
 
 from benchmarks.circumstances import circumstances, publish
 from usdsmoke.base.naming import EMISSION, SCATTERING
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, LightSource, Scattering, VolumeFrame
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.stylize import stylize_window
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import encode_srgb

@@ -27,9 +27,9 @@ from benchmarks.coherence_runs import Outcome, Run, Shot, run_alone
 from benchmarks.control_scenes import EXAMPLES, paint_styles
 from benchmarks.style_scores import stylize_in_child
 from usdsmoke.base.errors import UsdSmokeError
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.sections import WindowsConfig
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.run_sections import WindowsConfig
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.smoke.active import activate

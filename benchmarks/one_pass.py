@@ -34,9 +34,9 @@ from benchmarks.equal_judge import Judge, read_real_plume, turned_plumes
 from benchmarks.long_shot import STEP, fit_line
 from benchmarks.one_pass_pictures import Gallery
 from benchmarks.stages import PLUME_FILE
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.sequence.start import start_colours

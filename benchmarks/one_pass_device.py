@@ -21,9 +21,9 @@ import torch
 
 from benchmarks.circumstances import publish, table_page
 from benchmarks.shape_cost import make_plume, make_style
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.generator.definition import N_ITERATIONS
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence.frame_state import make_context, open_frame

@@ -22,8 +22,8 @@ import torch
 from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import style_pixels
 from benchmarks.equal_judge import find_scenes
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.error_estimates import tail_figures
 from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.steps.colour import run_colour_step

@@ -25,8 +25,8 @@ from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import style_pixels
 from benchmarks.equal_judge import find_scenes
 from benchmarks.stages import PLUME_FILE
-from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.smoke import schedule
 from usdsmoke.core.smoke.voxels import occupied

@@ -22,7 +22,7 @@ from benchmarks.control_scenes import paint_styles
 from benchmarks.held_out import draw_march, fit_view, held_out_angles, read_result
 from benchmarks.measures import MEASURES, paste_style, score_views
 from benchmarks.style_scores import IMAGE_SIZE, RANGES
-from usdsmoke.base.sections import StyleConfig
+from usdsmoke.config.look_sections import StyleConfig
 from usdsmoke.core.style.style_image import scale_style
 
 __all__ = ["main", "score_anew"]

@@ -19,8 +19,8 @@ from pxr import Usd
 from benchmarks.display import composite, mean_colour
 from benchmarks.held_out import Result, draw_march, fit_view, held_out_angles, read_result
 from benchmarks.style_scores import stylize_in_child
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.schedule import view_ranges
 from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.views.scene import measure_scene

@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.circumstances import circumstances
 from benchmarks.scaling_cases import Case, Cost, measure_case, measure_peak
-from usdsmoke.base.resolve import resolve_config
+from usdsmoke.config.resolve import resolve_config
 
 __all__ = ["fit_exponent", "list_cases", "main", "render_report"]
 

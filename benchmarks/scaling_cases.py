@@ -19,9 +19,9 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.shape_cost import make_plume, make_style
 from usdsmoke.base.frame_report import Progress
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.stylize import stylize_window
 from usdsmoke.core.style.losses import StyleTarget
 from usdsmoke.core.views.scene import measure_scene

@@ -19,9 +19,9 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.frame_report import Progress
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.fields.resample import smooth
 from usdsmoke.core.fields.sample import voxel_positions
 from usdsmoke.core.sequence.stylize import stylize_window

@@ -25,8 +25,8 @@ from torch import Tensor
 from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import paint_styles
 from benchmarks.equal_judge import find_scenes
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.active import activate
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.colour import run_colour_step

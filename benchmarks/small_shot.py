@@ -21,7 +21,7 @@ from pathlib import Path
 
 from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import EXAMPLES
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.read import GridRequest, read_grids
 
 __all__ = ["main", "measure"]

@@ -16,8 +16,8 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import UsdSmokeError
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.header import GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.plume_looks import Comparison
 from benchmarks.stages import PLUME_FILE
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.runs.assemble import StylizeResult
 from usdsmoke.vdb.read import GridRequest, read_grids
 

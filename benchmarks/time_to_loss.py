@@ -16,7 +16,7 @@ from pathlib import Path
 
 from benchmarks.circumstances import publish, table_page
 from benchmarks.speed import HERE, checkout_parser, measure
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 
 __all__ = ["main"]
 

@@ -34,10 +34,10 @@ from benchmarks.true_errors import (
     transport_error,
     unevenness,
 )
-from usdsmoke.base.presets import preset_file
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.presets import preset_file
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.sequence.error_estimates import painted_frame
 from usdsmoke.core.sequence.frame_loop import run_frames

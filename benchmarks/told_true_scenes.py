@@ -8,8 +8,8 @@ import numpy as np
 
 from benchmarks.control_scenes import frame_of, simulate_smoke
 from benchmarks.stages import PLUME_FILE
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.read import GridRequest, read_grids
 
 __all__ = ["Scene", "make_scenes"]

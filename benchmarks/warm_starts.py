@@ -24,8 +24,8 @@ from benchmarks.coherence_measures import style_distances
 from benchmarks.coherence_runs import Outcome, Run, Shot, make_shot, simulate_plume
 from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.base.frame_report import Progress
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.config.settings import Config
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.stylize import StylizedFrame, stylize_window

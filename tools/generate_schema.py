@@ -18,8 +18,8 @@ from pathlib import Path
 
 from pydantic.fields import FieldInfo
 
-from usdsmoke.base.setting_model import ValueType, allowed_values, extra_of, limits_of, range_text
-from usdsmoke.base.settings import declared_settings
+from usdsmoke.config.setting_model import ValueType, allowed_values, extra_of, limits_of, range_text
+from usdsmoke.config.settings import declared_settings
 
 __all__ = ["generate", "main", "schema_text"]
 
@@ -51,7 +51,7 @@ PLACEHOLDERS = {
 }
 
 
-MARK = "    # The rest is written by tools/generate_schema.py from usdsmoke/base/sections.py.\n"
+MARK = "    # The rest is written by tools/generate_schema.py from usdsmoke/config.\n"
 
 
 def schema_text() -> str:

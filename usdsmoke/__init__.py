@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from usdsmoke.audit import rerun as rerun
     from usdsmoke.audit import verify as verify
     from usdsmoke.base.errors import UsdSmokeError as UsdSmokeError
-    from usdsmoke.base.resolve import settings as settings
-    from usdsmoke.base.settings import Config as Config
+    from usdsmoke.config.resolve import settings as settings
+    from usdsmoke.config.settings import Config as Config
     from usdsmoke.pictures.preview import preview as preview
     from usdsmoke.pipeline import plan as plan
     from usdsmoke.pipeline import stylize as stylize
@@ -73,7 +73,7 @@ _HOME = {
     "provenance": ("audit", "provenance"),
     "report": ("work_precision", "make_report"),
     "rerun": ("audit", "rerun"),
-    "settings": ("base.resolve", "settings"),
+    "settings": ("config.resolve", "settings"),
     "stylize": ("pipeline", "stylize"),
     "train": ("runs.train", "train"),
     "validate": ("usd.rules", "validate"),

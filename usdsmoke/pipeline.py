@@ -8,7 +8,7 @@ from pathlib import Path
 
 from usdsmoke.base.errors import REFUSED
 from usdsmoke.base.machine import prepare_torch_environment
-from usdsmoke.base.resolve import FilePath, Settings, Styles
+from usdsmoke.config.resolve import FilePath, Settings, Styles
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.output_folder import resolve_output

@@ -14,7 +14,7 @@ from benchmarks.control_scenes import frame_of, paint_styles, simulate_smoke
 from benchmarks.display import composite
 from benchmarks.held_out import Result, draw_march, fit_view
 from benchmarks.measures import LUMINANCE, colour_distance
-from usdsmoke.base.resolve import resolve_config
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.core.sequence.stylize import stylize_window
 from usdsmoke.core.views.scene import measure_scene
 

@@ -5,7 +5,7 @@ import pytest
 from benchmarks.control_scenes import paint_styles
 from benchmarks.optimiser_error import measure_step
 from tests.fixtures.smoke_fixtures import frame_of, puff
-from usdsmoke.base.resolve import resolve_config
+from usdsmoke.config.resolve import resolve_config
 
 SETTINGS = {
     # a narrow pool: with views all round so few iterations do not converge

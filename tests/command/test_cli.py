@@ -12,8 +12,8 @@ import pytest
 from tests.fixtures.pipeline_fixtures import Shot
 from tests.fixtures.usd_fixtures import file_hashes, needs_usd, write_text
 from usdsmoke import __version__
-from usdsmoke.base.resolve import read_settings, resolve_config
-from usdsmoke.base.settings import Config
+from usdsmoke.config.resolve import read_settings, resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.ui.cli.main import main
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -17,8 +17,8 @@ import pytest
 from tests.farm.test_farm import outcome
 from tests.fixtures.pipeline_fixtures import make_shot, run, values_of, write_nan
 from usdsmoke.base.errors import ClusterError, Interrupted, NonFiniteError
-from usdsmoke.base.sections import OptimizeConfig
-from usdsmoke.base.settings import Config
+from usdsmoke.config.run_sections import OptimizeConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.farm.dask import stylize_on_cluster
 from usdsmoke.pipeline import Request
 from usdsmoke.runs.progress import RunProgress

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from tests.fixtures.smoke_fixtures import affine, held_in_voxels, puff, random_style, smoke_of
-from usdsmoke.base.sections import LossesConfig
+from usdsmoke.config.look_sections import LossesConfig
 from usdsmoke.core.fields.lattice import Lattice, surround
 from usdsmoke.core.fields.potential import border_mask
 from usdsmoke.core.fields.pyramid import expand_levels, pyramid_shapes

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from benchmarks.raymarch import march_rays
 from tests.fixtures.smoke_fixtures import gaussian_column, gaussian_smoke, smoke_of
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.fields.richardson import step_error
 from usdsmoke.core.fields.transport import Scheme, warp
 from usdsmoke.core.fields.warp_error import warp_error

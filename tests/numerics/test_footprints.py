@@ -6,8 +6,8 @@ import torch
 from scipy import ndimage
 
 from tests.fixtures.smoke_fixtures import frame_of
-from usdsmoke.base.sections import ViewsConfig
-from usdsmoke.base.settings import Config
+from usdsmoke.config.look_sections import ViewsConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.footprint import ColumnSums

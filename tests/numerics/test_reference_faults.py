@@ -16,9 +16,9 @@ from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
 from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.audit import provenance
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.config.look_sections import ViewsConfig
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.views.cameras import View, orbit_view, sample_angles
 from usdsmoke.core.views.project import column_map

@@ -11,7 +11,7 @@ from tests.fixtures.pipeline_fixtures import PROJECT, FakeCore, Shot, make_shot,
 from tests.fixtures.usd_fixtures import needs_usd, write_text
 from usdsmoke.audit import provenance, verify
 from usdsmoke.base.record_format import Figure, RunRecord, hash_file
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.core.style.definition import embedded_hash
 from usdsmoke.pipeline import assemble
 from usdsmoke.vdb.content_hash import hash_vdb_file

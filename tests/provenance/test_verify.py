@@ -12,7 +12,7 @@ from pxr import Sdf
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
 from tests.fixtures.usd_fixtures import needs_usd, write_vdb
 from usdsmoke.audit import Change, verify
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.pipeline import StylizeResult, assemble
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.rules import validate

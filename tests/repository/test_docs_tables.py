@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.fixtures.usd_fixtures import needs_usd
-from usdsmoke.base.resolve import read_settings, resolve_config
+from usdsmoke.config.resolve import read_settings, resolve_config
 from usdsmoke.ui.cli.arguments import build_parser
 from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.usd.rules import register_validators

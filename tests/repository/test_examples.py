@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 from pxr import Usd, UsdGeom, UsdRender, UsdVol
 
-from usdsmoke.base.resolve import read_settings, resolve_config
+from usdsmoke.config.resolve import read_settings, resolve_config
 from usdsmoke.ui.cli.main import main
 
 PROJECT = Path(__file__).resolve().parents[2]

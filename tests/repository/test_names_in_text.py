@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 from tests.fixtures.import_graph import PACKAGE, Module, read_modules
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 
 MODULES = read_modules()
 SETTINGS = {name: set(section) for name, section in Config().model_dump().items()}

@@ -14,8 +14,8 @@ import usdsmoke
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import Shot, make_shot
 from tests.fixtures.usd_fixtures import file_hashes, needs_usd
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.core.smoke.thicken import Thickening
 from usdsmoke.vdb.read import GridRequest, read_grids
 

@@ -13,8 +13,8 @@ from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot
 from tests.fixtures.smoke_fixtures import frame_of, puff
 from tests.fixtures.stylize_fixtures import quick_config, run_core
 from usdsmoke.audit import provenance
-from usdsmoke.base.sections import GridsConfig
-from usdsmoke.base.settings import Config
+from usdsmoke.config.run_sections import GridsConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.pipeline import assemble, stylize
 from usdsmoke.runs.budget import ErrorBudget
 from usdsmoke.runs.budget.error_budget import make_budget

@@ -12,8 +12,8 @@ from tests.fixtures.pipeline_fixtures import FakeCore, Shot, run, shown_files, v
 from tests.fixtures.smoke_fixtures import puff
 from tests.fixtures.usd_fixtures import density_prim, samples, volume_prim, world, write_vdb
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.sections import WindowsConfig
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.run_sections import WindowsConfig
 from usdsmoke.planning.windows import split_windows
 
 QUICK = (

@@ -11,7 +11,7 @@ import numpy as np
 
 from tests.fixtures.smoke_fixtures import frame_of, puff
 from tests.fixtures.stylize_fixtures import quick_config, run_core
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.runs.budget.finding import Finding
 from usdsmoke.runs.budget.findings import find_written
 

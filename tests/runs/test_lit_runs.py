@@ -10,7 +10,7 @@ from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import Shot, make_shot
 from tests.fixtures.preview_fixtures import parts
 from tests.fixtures.smoke_fixtures import puff
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.pictures.preview import preview
 from usdsmoke.pipeline import StylizeResult, stylize
 from usdsmoke.vdb.header import read_header

@@ -27,9 +27,9 @@ from tests.fixtures.usd_fixtures import density_prim, file_hashes, world, write_
 from usdsmoke.audit import provenance
 from usdsmoke.base.frame_report import StepReport
 from usdsmoke.base.record_format import Extinction
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.sections import GridsConfig
-from usdsmoke.base.settings import Config
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.run_sections import GridsConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.pipeline import stylize
 from usdsmoke.runs.progress import RunProgress
 from usdsmoke.ui.cli.progress_bar import ConsoleProgress

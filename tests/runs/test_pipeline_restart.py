@@ -25,8 +25,8 @@ from tests.fixtures.pipeline_fixtures import (
 from tests.fixtures.usd_fixtures import file_hashes, write_text, write_vdb
 from usdsmoke.base import publish
 from usdsmoke.base.errors import Interrupted, LayerError, NonFiniteError, OutputExists, WriteFailed
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.core.smoke.device import Machine
 from usdsmoke.pipeline import stylize
 from usdsmoke.planning.job import Job

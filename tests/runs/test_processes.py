@@ -14,7 +14,7 @@ import pytest
 from tests.fixtures.pipeline_fixtures import Shot, contents, make_shot
 from usdsmoke.base import machine
 from usdsmoke.base.errors import ClusterError, Interrupted, NonFiniteError, PlanError
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.farm import processes
 from usdsmoke.pipeline import Request
 from usdsmoke.runs.progress import RunProgress

@@ -24,7 +24,7 @@ from tests.fixtures.client_fixtures import (
 )
 from tests.fixtures.grids_fixtures import check_content, openvdb, raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, copied, make_shot, run, stand_in
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.pipeline import Request, assemble, run_window
 from usdsmoke.ui.cli.main import main
 from usdsmoke.vdb.content_hash import hash_vdb_file

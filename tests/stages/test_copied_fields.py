@@ -21,7 +21,7 @@ from tests.fixtures.usd_fixtures import (
 )
 from usdsmoke import verify
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.core.fields.lattice import Lattice
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.pipeline import plan as make_plan

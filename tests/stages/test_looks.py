@@ -21,7 +21,7 @@ from tests.fixtures.pipeline_fixtures import (
 from tests.fixtures.usd_fixtures import file_hashes
 from usdsmoke.base.errors import ConfigError, LayerError, OutputExists
 from usdsmoke.base.naming import DEFAULT_LOOK
-from usdsmoke.base.sections import LayerConfig
+from usdsmoke.config.run_sections import LayerConfig
 from usdsmoke.pipeline import Request, assemble, run_window
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.look import look_files

@@ -17,7 +17,7 @@ from tests.fixtures.client_fixtures import ALL, WINDOWS, dense, expected
 from tests.fixtures.grids_fixtures import make_field, openvdb, raw_grid, rotated, write_raw
 from tests.fixtures.other_openvdb import describe
 from tests.fixtures.pipeline_fixtures import PROJECT, Shot, copied, run
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_fields, hash_vdb_file
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame

@@ -16,8 +16,8 @@ from tests.fixtures.usd_fixtures import density_prim, sequence, world, write_seq
 from usdsmoke import pipeline
 from usdsmoke.audit import provenance
 from usdsmoke.base.errors import ConfigError, ImageError, OutputExists
-from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import FrameControls
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.farm.openjd import submit
 from usdsmoke.pipeline import Request, assemble, run_coarse, run_window, stylize
 from usdsmoke.ui.cli.main import main

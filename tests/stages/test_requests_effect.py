@@ -11,8 +11,8 @@ from tests.fixtures.pipeline_fixtures import make_style
 from tests.fixtures.usd_fixtures import density_prim, sequence, world, write_text
 from usdsmoke import pipeline, provenance
 from usdsmoke.base.errors import OutputExists
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.pipeline import Request, run_window, stylize
 from usdsmoke.vdb.read import GridRequest, read_grids
 

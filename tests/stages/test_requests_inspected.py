@@ -20,7 +20,7 @@ from tests.fixtures.usd_fixtures import (
     write_sequence,
     write_text,
 )
-from usdsmoke.base.resolve import resolve_config
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES, REQUEST_PREFIX
 
@@ -188,7 +188,7 @@ from pxr import Usd
 stage = Usd.Stage.CreateInMemory()
 Usd.SchemaRegistry()
 from usdsmoke.ui.cli.main import main
-from usdsmoke.base.resolve import resolve_config
+from usdsmoke.config.resolve import resolve_config
 main([{command!r}, {str(stage)!r}])
 """
     done = subprocess.run(

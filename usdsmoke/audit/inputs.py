@@ -13,10 +13,10 @@ from typing import Literal
 from usdsmoke.audit.record import FoundRecord
 from usdsmoke.base.errors import BindingMissing, ConfigError, FeatureError, UsdSmokeError
 from usdsmoke.base.record_format import RunRecord, hash_file
-from usdsmoke.base.resolve import recorded_settings
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import StageSource
+from usdsmoke.config.resolve import recorded_settings
+from usdsmoke.config.settings import Config
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, prepare_job, recorded_request, selected_variants
 from usdsmoke.planning.networks import features_hashes

@@ -16,7 +16,7 @@ from usdsmoke.audit.record import FoundRecord, find_records
 from usdsmoke.base.errors import BindingMissing, ConfigError, LayerError, UsdSmokeError
 from usdsmoke.base.machine import package_versions, platform_name
 from usdsmoke.base.record_format import hash_file
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.usd.layer_record import (
     LAYER_HASH,
     RECORD_HASH,

@@ -8,13 +8,10 @@ import numpy as np
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.frame_report import Estimate, FrameErrors
-from usdsmoke.base.sections import GridsConfig
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
 
 LARGEST_HALF = 65504.0  # largest finite 16-bit float
 MOST_LOST = 0.01  # of a copied field; 16-bit floats lose up to 0.05 % of numbers above 6e-5
-BRIGHTEST = 2.54  # times white, of what a voxel emits: ``core.smoke.srgb.BRIGHTEST``, linear
 
 
 def round_to_half(values: np.ndarray) -> np.ndarray:
@@ -70,29 +67,19 @@ def clip_to_smoke(field: DenseField, density: DenseField) -> DenseField:
     return dataclasses.replace(field, values=np.where(mask, field.values, background))
 
 
-def check_half(density: DenseField, time_code: float, gamma_w: float, config: Config) -> None:
+def check_half(density: DenseField, time_code: float, brightest: float) -> None:
     """Refuse 16-bit floats that cannot hold what a frame will have.
-
-    No voxel emits more than ``BRIGHTEST`` times white, so no emission is above gamma_w times the
-    largest density times that, divided by the exposure.
 
     Args:
         density: of the frame.
         time_code: of the frame.
-        gamma_w: extinction per density, 1/stage unit.
-        config: grids and steps.
+        brightest: the largest emission per density; 0 without an emission.
 
     Raises:
         ConfigError: with the largest number and the one that can be held.
     """
-    if not config.grids.half:
-        return
     largest = float(density.values.max(initial=0.0))
-    bounds = {"density": largest}
-    if "colour" in config.optimize.steps:
-        exposure = 2.0 ** (config.optics.exposure or 0.0)
-        bounds["emission"] = BRIGHTEST * gamma_w * largest * config.optimize.strength / exposure
-    for name, bound in bounds.items():
+    for name, bound in {"density": largest, "emission": brightest * largest}.items():
         if bound > LARGEST_HALF:
             raise ConfigError(
                 f"16-bit floats hold numbers up to {LARGEST_HALF:g}, but the {name} at timeCode "
@@ -100,7 +87,7 @@ def check_half(density: DenseField, time_code: float, gamma_w: float, config: Co
             )
 
 
-def check_half_copy(name: str, values: np.ndarray, config: GridsConfig) -> None:
+def check_half_copy(name: str, values: np.ndarray) -> None:
     """Refuse 16-bit floats that cannot hold a field that is copied.
 
     Args:
@@ -110,8 +97,6 @@ def check_half_copy(name: str, values: np.ndarray, config: GridsConfig) -> None:
         ConfigError: with the largest number and the one that can be held, or the share of small
             numbers that is lost.
     """
-    if not config.half:
-        return
     largest = float(np.abs(values).max(initial=0.0))
     if largest > LARGEST_HALF:
         raise ConfigError(
@@ -130,7 +115,8 @@ def check_half_copy(name: str, values: np.ndarray, config: GridsConfig) -> None:
 
 def storage_errors(
     fields: Sequence[DenseField],
-    config: GridsConfig,
+    half: bool,
+    prune: float,
     others: FrameErrors | None = None,
     kept: Sequence[DenseField] | None = None,
 ) -> FrameErrors:
@@ -141,18 +127,19 @@ def storage_errors(
 
     Args:
         fields: density and, after a colour step, emission, before they are pruned.
-        config: ``half`` and ``prune``.
+        half: whether the file holds 16-bit floats.
+        prune: see ``prune_fields``.
         others: errors of the frame that are kept; None: there are none.
         kept: the fields from ``prune_fields``, where they are at hand.
     """
     found: dict[str, Estimate] = {}
     names = ("storage_density", "storage_emission")
-    kept = prune_fields(fields, config.prune) if kept is None else kept
+    kept = prune_fields(fields, prune) if kept is None else kept
     for name, field, stored in zip(names, fields, kept, strict=False):
         started = time.perf_counter()
         lost = 0.0
-        if config.prune > 0 or config.half:
-            lost = _difference(field.values, stored.values, config.half)
+        if prune > 0 or half:
+            lost = _difference(field.values, stored.values, half)
         found[name] = Estimate(lost, time.perf_counter() - started)
     return dataclasses.replace(others or FrameErrors(), **found)
 

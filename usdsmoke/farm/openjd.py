@@ -17,8 +17,8 @@ import yaml
 
 from usdsmoke.base.errors import ConfigError, OutputExists, PlanError
 from usdsmoke.base.publish import make_folders, publish_file
-from usdsmoke.base.resolve import FilePath, settings_yaml
-from usdsmoke.base.settings import Config
+from usdsmoke.config.resolve import FilePath, settings_yaml
+from usdsmoke.config.settings import Config
 from usdsmoke.pipeline import Request, plan_request
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan

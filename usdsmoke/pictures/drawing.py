@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from usdsmoke.base.sections import ViewsConfig
+from usdsmoke.config.look_sections import ViewsConfig
 from usdsmoke.core.views.cameras import View, frame_points, orbit_view
 from usdsmoke.pictures.png import encode_srgb
 

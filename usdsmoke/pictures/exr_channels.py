@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from usdsmoke.base.errors import ImageError
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb import child
 
 WANTED = ("R", "G", "B", "Y", "A")

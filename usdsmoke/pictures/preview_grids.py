@@ -3,13 +3,13 @@
 import numpy as np
 
 from usdsmoke.base.errors import UsdSmokeError
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import (
     DenseField,
     FieldSource,
     VolumeFrame,
 )
+from usdsmoke.config.settings import Config
 from usdsmoke.usd.stage import ComposedVolume
 from usdsmoke.vdb.header import GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid, read_grids

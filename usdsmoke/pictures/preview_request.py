@@ -10,9 +10,9 @@ from pxr import Usd
 
 from usdsmoke.base.errors import ConfigError, WriteFailed
 from usdsmoke.base.machine import check_packages
-from usdsmoke.base.resolve import Settings, resolve_settings
-from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import parse_frames
+from usdsmoke.config.resolve import Settings, resolve_settings
+from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.pictures.animations import WRITERS
 from usdsmoke.usd.stage import StageOrFile
 

@@ -14,7 +14,6 @@ from usdsmoke.base.errors import (
     UsdSmokeError,
 )
 from usdsmoke.base.machine import GIB, available_memory_gib
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, name_time_codes, spread
 from usdsmoke.base.volume import (
     DenseField,
@@ -24,6 +23,7 @@ from usdsmoke.base.volume import (
     VolumeFrame,
     VolumeSource,
 )
+from usdsmoke.config.settings import Config
 from usdsmoke.core.rays.media import Medium, make_media
 from usdsmoke.core.smoke.tasks import computing_threads, n_sharing
 from usdsmoke.core.views.cameras import View

@@ -3,9 +3,9 @@
 from pxr import Sdf, Usd, UsdVol
 
 from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, GridError, UsdSmokeError
-from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import parse_frames, select_frames
 from usdsmoke.base.volume import StageSource
+from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.pictures.preview_smoke import Smoke, compose_one
 from usdsmoke.usd.stage import find_volumes
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image
 
-from usdsmoke.base.sections import ViewsConfig
-from usdsmoke.base.settings import Config, style_shares
+from usdsmoke.config.look_sections import ViewsConfig
+from usdsmoke.config.settings import Config, style_shares
 
 LEAST_WAVELENGTH = 3.4  # voxels; finer marks are mottle, as no two views agree on them
 SIZES = tuple(2 ** (n / 2) for n in range(5))  # that an unset ``style.size`` is one of

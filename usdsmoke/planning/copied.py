@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from usdsmoke.base.errors import ConfigError, GridError
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FieldSource, FrameSource, VolumeSource
+from usdsmoke.config.settings import Config
 from usdsmoke.planning.frames import VelocitySource, field_place
 from usdsmoke.vdb.header import FileHeader, GridHeader
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid

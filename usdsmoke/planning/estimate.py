@@ -46,8 +46,8 @@ from dataclasses import dataclass, replace
 
 from usdsmoke.base.machine import GIB, MOST_THREADS, usable_threads
 from usdsmoke.base.naming import COLOUR_CHANNELS
-from usdsmoke.base.sections import LayerConfig
-from usdsmoke.base.settings import Config
+from usdsmoke.config.run_sections import LayerConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.core.generator.definition import N_ITERATIONS, training_parts
 from usdsmoke.core.sequence.controls import (
     are_independent,

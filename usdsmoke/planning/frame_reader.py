@@ -4,9 +4,9 @@ import dataclasses
 from collections.abc import Iterable
 
 from usdsmoke.base.errors import UnsupportedGrid
-from usdsmoke.base.settings import Config
 from usdsmoke.base.storage import check_half_copy
 from usdsmoke.base.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
+from usdsmoke.config.settings import Config
 from usdsmoke.planning.copied import CopiedGrid
 from usdsmoke.planning.frames import (
     MaskSource,
@@ -76,7 +76,8 @@ class FrameReader:
 
     def _read_other(self, volume: VolumePlan, grid: CopiedGrid) -> DenseField:
         (field,) = self._store.read(grid.field.file_path, [grid.request], volume.config.grids)
-        check_half_copy(grid.name, field.values, volume.config.grids)
+        if volume.config.grids.half:
+            check_half_copy(grid.name, field.values)
         return field
 
     def hash_sources(self, volume: VolumePlan, frame: FramePlan) -> dict[str, str]:

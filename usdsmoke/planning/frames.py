@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from usdsmoke.base.errors import GridNotFound
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import GRID_SEPARATORS, FieldSource, FrameSource, VolumeSource
+from usdsmoke.config.settings import Config
 from usdsmoke.vdb.header import FileHeader, GridHeader
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 from usdsmoke.vdb.velocity import find_velocity

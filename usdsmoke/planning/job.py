@@ -12,7 +12,10 @@ import numpy as np
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.machine import check_packages
 from usdsmoke.base.naming import SCATTERING, find_run_files, relative_asset_path
-from usdsmoke.base.resolve import (
+from usdsmoke.base.time_codes import name_time_codes
+from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
+from usdsmoke.config.look_sections import MOST_STOPS
+from usdsmoke.config.resolve import (
     FilePath,
     Settings,
     Styles,
@@ -21,10 +24,7 @@ from usdsmoke.base.resolve import (
     settings_record,
     style_paths,
 )
-from usdsmoke.base.sections import MOST_STOPS
-from usdsmoke.base.settings import Config, style_shares
-from usdsmoke.base.time_codes import name_time_codes
-from usdsmoke.base.volume import EarlierLooks, StageSource, VolumeSource
+from usdsmoke.config.settings import Config, style_shares
 from usdsmoke.core.generator.weights import read_weights
 from usdsmoke.pictures import StyleImage, read_style_image, sheet_files
 from usdsmoke.planning.make_plan import check_plan, make_plan

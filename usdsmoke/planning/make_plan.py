@@ -11,8 +11,8 @@ from pathlib import Path
 from usdsmoke.base.errors import ConfigError, GridError, PlanError, count_text, others_advice
 from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
 from usdsmoke.base.naming import frame_file_names, frame_places, volume_stems
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.controls import (
     are_independent,
     check_controls,

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.naming import EMISSION
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.controls import SETTINGS, are_independent, in_effect, step_iterations
 from usdsmoke.core.smoke.schedule import has_one_view, pool_size, views_aside
 from usdsmoke.core.style.definition import learned_layers, oriented_layers

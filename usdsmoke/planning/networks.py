@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from usdsmoke.base.record_format import hash_file
-from usdsmoke.base.sections import FeaturesConfig
-from usdsmoke.base.settings import Config
+from usdsmoke.config.look_sections import FeaturesConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.core.style.definition import embedded_hash
 from usdsmoke.core.style.layers import content_layers, find_vgg19_file, style_layers
 

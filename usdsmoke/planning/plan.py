@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke.base.errors import ConfigError, PlanError, count_text
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import parse_frames, select_frames
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
+from usdsmoke.config.settings import Config
 from usdsmoke.planning.copied import CopiedGrid
 from usdsmoke.planning.estimate import CostEstimate, FrameSize
 from usdsmoke.planning.frames import MaskSource, VelocitySource

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from usdsmoke.base.errors import count_text
-from usdsmoke.base.sections import ColourConfig, ViewsConfig, WindowsConfig
 from usdsmoke.base.time_codes import (
     find_holes,
     format_time_code,
@@ -16,6 +15,8 @@ from usdsmoke.base.time_codes import (
     parse_frames,
     select_frames,
 )
+from usdsmoke.config.look_sections import ColourConfig, ViewsConfig
+from usdsmoke.config.run_sections import WindowsConfig
 from usdsmoke.pictures import find_style_size, refine_for_less
 from usdsmoke.planning.materials import lights_remark
 from usdsmoke.planning.plan import VolumePlan

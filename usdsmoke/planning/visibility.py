@@ -8,9 +8,9 @@ import numpy as np
 
 from usdsmoke.base.errors import PlanError
 from usdsmoke.base.machine import available_memory_gib
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import CameraSource, FieldSource, FrameSource
+from usdsmoke.config.settings import Config
 from usdsmoke.core.views.frustum import frustum_of, pixel_footprint
 from usdsmoke.planning.estimate import estimate_run, training_seconds
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.base.sections import WindowsConfig
+from usdsmoke.config.run_sections import WindowsConfig
 
 # A step of more than this many usual steps is a cut: nothing is carried over it. One missing frame
 # makes a step of two, over which a velocity still leads; validation reports it as a gap.

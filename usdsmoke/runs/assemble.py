@@ -9,8 +9,8 @@ from typing import Any
 from usdsmoke.base.errors import LayerError, UsdSmokeError, count_text
 from usdsmoke.base.frame_report import FrameReport, OverlapReport
 from usdsmoke.base.machine import give_back_memory
-from usdsmoke.base.sections import MOST_STOPS
 from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.config.look_sections import MOST_STOPS
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import describe_request
 from usdsmoke.planning.materials import opacity_remarks

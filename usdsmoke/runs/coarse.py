@@ -15,7 +15,7 @@ from usdsmoke.base.json_records import plain_values
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.pictures import find_style_size, refine_for_less
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job

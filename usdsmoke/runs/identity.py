@@ -15,8 +15,8 @@ from typing import Any
 from usdsmoke import __version__
 from usdsmoke.base.errors import GridError, NonFiniteError
 from usdsmoke.base.record_format import hash_file
-from usdsmoke.base.sections import OWN_NETWORK, OptimizeConfig
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
+from usdsmoke.config.run_sections import OWN_NETWORK, OptimizeConfig
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import FileDigest, Job, selected_variants

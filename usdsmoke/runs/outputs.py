@@ -11,7 +11,6 @@ from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.naming import SCATTERING
 from usdsmoke.base.publish import make_folders
 from usdsmoke.base.record_format import hash_file
-from usdsmoke.base.settings import Config
 from usdsmoke.base.storage import (
     clip_to_smoke,
     prune_fields,
@@ -19,6 +18,7 @@ from usdsmoke.base.storage import (
     storage_errors,
 )
 from usdsmoke.base.volume import DenseField, WrittenFrame
+from usdsmoke.config.settings import Config
 from usdsmoke.pictures import StyleImage
 from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask
 from usdsmoke.runs.budget import PartClock
@@ -59,8 +59,9 @@ def result_fields(
     colours = []
     if painted:
         colours = make_colour_grids(density, painted, report.extinction, config, stops)
-    lost = storage_errors(fields, config.grids, report.errors, kept)
-    stored = round_to_half(density.values) if config.grids.half else density.values
+    half, prune = config.grids.half, config.grids.prune
+    lost = storage_errors(fields, half, prune, report.errors, kept)
+    stored = round_to_half(density.values) if half else density.values
     written = int(np.count_nonzero(stored > 0))
     report = dataclasses.replace(report, errors=lost, voxels_written=written)
     if config.layer.compact_velocity:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from usdsmoke.base.frame_report import Progress
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.controls import step_iterations
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.runs.budget import Finding

@@ -21,7 +21,7 @@ from usdsmoke.base.record_format import (
     StyleRecord,
     utc_now,
 )
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.planning.job import Job, describe_request
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.planning.stage_values import stage_values

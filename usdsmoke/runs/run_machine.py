@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.machine import no_garbage_collection, platform_name
 from usdsmoke.base.record_format import MachineRecord
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.config.settings import Config
 from usdsmoke.planning.job import Job
 from usdsmoke.runs.run import Run
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.naming import EMISSION, SCATTERING
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, spread
 from usdsmoke.base.volume import DenseField, FrameSource, Scattering
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.controls import frame_config
 from usdsmoke.pictures import compose_sheet, write_png
 from usdsmoke.pictures.drawing import (

@@ -16,9 +16,9 @@ from usdsmoke.base.errors import ConfigError, Interrupted, PlanError, count_text
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file, hash_values
-from usdsmoke.base.resolve import FilePath, Settings, Styles
-from usdsmoke.base.sections import OWN_NETWORK
 from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.config.resolve import FilePath, Settings, Styles
+from usdsmoke.config.run_sections import OWN_NETWORK
 from usdsmoke.core.generator.definition import N_ITERATIONS
 from usdsmoke.core.generator.weights import read_notes
 from usdsmoke.core.sequence.controls import network_alone

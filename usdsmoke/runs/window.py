@@ -13,7 +13,7 @@ from usdsmoke.base.json_records import read_json
 from usdsmoke.base.machine import give_back_memory, usable_cpus
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.storage import check_half
-from usdsmoke.core.sequence.controls import are_independent, frame_config
+from usdsmoke.core.sequence.controls import are_independent, brightest_emission, frame_config
 from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
 from usdsmoke.runs.budget import Finding, PartClock, WindowFindings, timed_items
 from usdsmoke.runs.coarse import coarse_starts, read_scene, settle_start
@@ -81,7 +81,7 @@ def check_storage(opened: OpenRun, tasks: Sequence[WindowTask]) -> None:
                 gamma_w = config.optics.gamma / scene.reference_voxel_size
             if (curve := scene.thickening) is not None:
                 read = curve.of_frame(read)
-            check_half(read.density, read.time_code, gamma_w, config)
+            check_half(read.density, read.time_code, brightest_emission(gamma_w, config))
 
 
 def stylize_windows(

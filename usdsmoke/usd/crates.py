@@ -15,7 +15,7 @@ from typing import Any
 from pxr import Ar, Sdf, Tf
 
 from usdsmoke.base.errors import StageError
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb import child
 
 LARGE = 2**24  # bytes; larger files are not looked at

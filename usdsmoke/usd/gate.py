@@ -11,8 +11,8 @@ from pxr import Ar, Sdf, Usd, UsdUtils
 from usdsmoke.base.errors import OutputExists, UsdSmokeError
 from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.publish import publish_file
-from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import name_time_codes
+from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.layer_record import read_record, record_values
 from usdsmoke.usd.look import copy_stage_metadata

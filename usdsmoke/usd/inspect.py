@@ -8,9 +8,10 @@ from typing import Any
 from pxr import Usd, UsdGeom
 
 from usdsmoke.base.errors import StageError, UsdSmokeError
-from usdsmoke.base.resolve import Settings, Styles
-from usdsmoke.base.sections import OpticsConfig, StageConfig
 from usdsmoke.base.volume import FieldSource, FrameSource, StageSource, VolumeSource
+from usdsmoke.config.look_sections import OpticsConfig
+from usdsmoke.config.resolve import Settings, Styles
+from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.schema import STYLE_API, late_note
 from usdsmoke.usd.stage import find_volumes, hidden_volumes, lit_by, open_stage, read_camera

@@ -13,8 +13,8 @@ from typing import Any
 from pxr import Usd, UsdShade
 
 from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
-from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.volume import BoundMaterial
+from usdsmoke.config.run_sections import LayerConfig
 from usdsmoke.usd.diagnostics import captured_diagnostics
 
 BINDING = "material:binding"

@@ -1,6 +1,6 @@
 """The attributes of UsdSmokeStyleAPI, and composed values of properties as plain ones.
 
-The setting of each attribute is declared with the setting, in ``base.sections``.
+The setting of each attribute is declared with the setting, in ``config``.
 """
 
 import os
@@ -11,8 +11,8 @@ from typing import Any
 
 from pxr import Ar, Sdf, Tf, Usd
 
-from usdsmoke.base.setting_model import extra_of
-from usdsmoke.base.settings import declared_settings
+from usdsmoke.config.setting_model import extra_of
+from usdsmoke.config.settings import declared_settings
 from usdsmoke.usd.values import authored_path, value_at
 
 REQUEST_PREFIX = "usdSmoke:request:"

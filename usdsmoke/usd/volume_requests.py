@@ -13,10 +13,10 @@ from typing import Any
 from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import AssetNotResolved, ConfigError, StageError, UsdSmokeError
-from usdsmoke.base.setting_model import nearest
-from usdsmoke.base.settings import checked_setting
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import FrameControls, StyleRequest
+from usdsmoke.config.setting_model import nearest
+from usdsmoke.config.settings import checked_setting
 from usdsmoke.usd.field_samples import field_targets, target_prim
 from usdsmoke.usd.request_values import (
     CAMERA,

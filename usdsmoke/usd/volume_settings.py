@@ -14,16 +14,16 @@ from typing import Any
 from pxr import Usd
 
 from usdsmoke.base.errors import ConfigError, ImageError
-from usdsmoke.base.resolve import (
+from usdsmoke.base.time_codes import format_time_code
+from usdsmoke.base.volume import FrameControls, StageSource, StyleRequest, VolumeSource
+from usdsmoke.config.resolve import (
     Settings,
     Styles,
     read_settings,
     resolve_settings,
     style_paths,
 )
-from usdsmoke.base.settings import Config, style_shares
-from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.base.volume import FrameControls, StageSource, StyleRequest, VolumeSource
+from usdsmoke.config.settings import Config, style_shares
 from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES, STYLE_IMAGES
 from usdsmoke.usd.volume_requests import has_request, request_origins
 

@@ -31,7 +31,7 @@ import numpy as np
 
 from usdsmoke.base import errors
 from usdsmoke.base.machine import python_command
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 
 _GIB = 2**30
 _PATIENCE = 10  # wall-clock seconds per CPU second: disks and other processes are slow

@@ -23,8 +23,8 @@ from usdsmoke.base.naming import (
     channel_names,
     colour_names,
 )
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.settings import Config
 from usdsmoke.vdb.boxes import values_in_box
 
 _PER_DENSITY = "perDensity"

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.boxes import active_mask, crop_to_active
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids

@@ -16,8 +16,8 @@ from usdsmoke.base.errors import (
     UnsupportedGrid,
     count_text,
 )
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb import child
 from usdsmoke.vdb.boxes import check_dense_size
 from usdsmoke.vdb.child import ChildFailure

@@ -13,8 +13,8 @@ from typing import IO
 import numpy as np
 
 from usdsmoke.base.machine import free_disk_bytes
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.read import GridRequest, read_grids
 
 _DISK_TMP = Path("/var/tmp")  # on disk, where /tmp may be in memory

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from usdsmoke.base.errors import UnsupportedGrid
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import GRID_SEPARATORS, VELOCITY_NAMES, DenseField
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.boxes import union_box, values_in_box
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 from usdsmoke.vdb.read import GridRequest, ReadGrids, find_grid, read_grids

@@ -12,9 +12,9 @@ import numpy as np
 
 from usdsmoke.base.errors import GridError, NonFiniteError, WriteFailed
 from usdsmoke.base.publish import publish_file
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.storage import LARGEST_HALF, round_to_half
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb import child
 from usdsmoke.vdb.boxes import crop_to_active
 from usdsmoke.vdb.child import ChildFailure

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usdsmoke.base.errors import PlanError
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.settings import Config
 from usdsmoke.planning.frame_reader import FrameReader, read_frame
 from usdsmoke.planning.frames import find_frame_velocity
 from usdsmoke.planning.job import Job

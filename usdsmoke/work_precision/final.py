@@ -20,11 +20,11 @@ import numpy as np
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.machine import check_packages, prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file
-from usdsmoke.base.resolve import FilePath, Settings, Styles, resolve_config, style_paths
-from usdsmoke.base.sections import StageConfig
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import DenseField, Scattering, VolumeFrame
+from usdsmoke.config.resolve import FilePath, Settings, Styles, resolve_config, style_paths
+from usdsmoke.config.run_sections import StageConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.pictures import compose_sheet, find_style_size, read_style_image, write_png
 from usdsmoke.usd.stage import ComposedVolume, StageOrFile, open_stage
 from usdsmoke.work_precision.path_tracer import MOST_BOUNCES, TracedSmoke

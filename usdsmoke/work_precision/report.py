@@ -17,8 +17,8 @@ from usdsmoke.base.errors import ConfigError, Interrupted, OutputExists, WriteFa
 from usdsmoke.base.json_records import read_json
 from usdsmoke.base.machine import check_packages, package_versions, prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file, remove_empty
-from usdsmoke.base.resolve import FilePath, Settings, Styles
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
+from usdsmoke.config.resolve import FilePath, Settings, Styles
 from usdsmoke.planning.job import Request, prepare_job
 from usdsmoke.planning.plan import Omission
 from usdsmoke.usd.stage import StageOrFile

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.records import LeftOut, Task
 from usdsmoke.work_precision.unseen_loss import Outcome, UnseenLoss

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.schedule import views_in_front
 from usdsmoke.work_precision.case import Case
 

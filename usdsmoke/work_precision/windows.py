@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.settings import Config
 from usdsmoke.vdb.boxes import union_box, values_in_box
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep

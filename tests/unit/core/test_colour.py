@@ -8,8 +8,8 @@ import torch
 
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import run_core, scene_of
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, make_octaves, sample_colours
 from usdsmoke.core.smoke.srgb import BRIGHTEST, decode_srgb, encode_srgb
 from usdsmoke.core.steps.colour import initial_colours, optimize_colours, run_colour_step

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from tests.fixtures.smoke_fixtures import puff, random_style, smoke_of
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.steps.colour import initial_colours, run_colour_step
 from usdsmoke.core.steps.targets import StepProblem, make_targets

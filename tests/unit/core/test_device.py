@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.sections import OptimizeConfig
+from usdsmoke.config.run_sections import OptimizeConfig
 from usdsmoke.core.smoke.device import choose_device
 from usdsmoke.core.smoke.tasks import n_sharing, share_among
 

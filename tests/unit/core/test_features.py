@@ -9,7 +9,7 @@ from torch import Tensor
 
 from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.sections import FeaturesConfig, LossesConfig, StyleConfig
+from usdsmoke.config.look_sections import FeaturesConfig, LossesConfig, StyleConfig
 from usdsmoke.core.style.definition import default_layers
 from usdsmoke.core.style.features import EmbeddedFeatures, build_network
 from usdsmoke.core.style.layers import layer_names, style_layers

@@ -10,7 +10,8 @@ import torch
 from tests.fixtures.smoke_fixtures import frame_of, puff
 from tests.fixtures.stylize_fixtures import quick_config
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.storage import BRIGHTEST, LARGEST_HALF, check_half
+from usdsmoke.base.storage import LARGEST_HALF, check_half
+from usdsmoke.core.sequence.controls import BRIGHTEST, brightest_emission
 from usdsmoke.core.smoke import srgb
 
 
@@ -28,4 +29,4 @@ def test_what_16_bit_floats_cannot_hold_is_refused(share: float, refused: bool) 
     gamma_w = share * LARGEST_HALF / BRIGHTEST
     expected = pytest.raises(ConfigError, match="emission at timeCode 1")
     with expected if refused else nullcontext():
-        check_half(density, 1.0, gamma_w, config)
+        check_half(density, 1.0, brightest_emission(gamma_w, config))

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import scene_of
-from usdsmoke.base.resolve import resolve_config
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.core.smoke.srgb import decode_srgb, luma
 from usdsmoke.core.steps.colour import run_colour_step
 from usdsmoke.core.steps.pictures import ColourView, prepare_views

@@ -7,9 +7,9 @@ import pytest
 
 from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
-from usdsmoke.base.sections import MOST_STOPS
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import CameraSource, DenseField, LightSource, Scattering, VolumeFrame
+from usdsmoke.config.look_sections import MOST_STOPS
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.steps.light_share import white_exposure

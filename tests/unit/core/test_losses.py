@@ -6,7 +6,7 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from tests.fixtures.smoke_fixtures import random_style
-from usdsmoke.base.sections import LossesConfig
+from usdsmoke.config.look_sections import LossesConfig
 from usdsmoke.core.style.definition import default_layers
 from usdsmoke.core.style.features import EmbeddedFeatures
 from usdsmoke.core.style.losses import StyleTarget, gram_matrix, total_variation

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from usdsmoke.base.sections import FeaturesConfig, LossesConfig
+from usdsmoke.config.look_sections import FeaturesConfig, LossesConfig
 from usdsmoke.core.style.features import EmbeddedFeatures
 from usdsmoke.core.style.layers import nearest_layers
 from usdsmoke.core.style.losses import StyleTarget

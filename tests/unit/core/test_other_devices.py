@@ -14,7 +14,7 @@ import torch
 from tests.fixtures.foreign_device import FOREIGN, NoReplay, foreign_device
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
-from usdsmoke.base.sections import LossesConfig
+from usdsmoke.config.look_sections import LossesConfig
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence import frame_state
 from usdsmoke.core.sequence.frame_state import make_context, open_frame

@@ -10,9 +10,9 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from tests.fixtures.smoke_fixtures import random_style
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.sections import LossesConfig
-from usdsmoke.base.settings import Config
+from usdsmoke.config.look_sections import LossesConfig
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.optimize import Descent, minimize
 from usdsmoke.core.steps.targets import StyleTargets, make_targets

@@ -6,9 +6,9 @@ import torch
 
 from tests.fixtures.smoke_fixtures import affine, frame_of, puff, smoke_of
 from tests.fixtures.stylize_fixtures import scene_of
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.sections import OpticsConfig, ViewsConfig
-from usdsmoke.base.settings import Config
+from usdsmoke.config.look_sections import OpticsConfig, ViewsConfig
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.schedule import pool_size
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.project import column_map

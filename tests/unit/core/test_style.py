@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from tests.fixtures.smoke_fixtures import random_style
-from usdsmoke.base.sections import StyleConfig
+from usdsmoke.config.look_sections import StyleConfig
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb, luma
 from usdsmoke.core.style.style_image import SMALLEST, adjust_tones, match_grey, scale_style
 

@@ -16,9 +16,9 @@ from tests.fixtures.stylize_fixtures import (
 )
 from usdsmoke.base.errors import FeatureError, NonFiniteError
 from usdsmoke.base.frame_report import FrameReport, Progress
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.views.scene import Scene
 

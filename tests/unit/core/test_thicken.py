@@ -6,7 +6,7 @@ import pytest
 from tests.fixtures.smoke_fixtures import frame_of, masked, puff
 from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.thicken import Thickening, find_thickening
 
 COLOUR = {"optimize": {"steps": ["colour"], "threads": 1}}

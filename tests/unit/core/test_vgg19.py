@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.errors import FeatureError
-from usdsmoke.base.sections import FeaturesConfig
+from usdsmoke.config.look_sections import FeaturesConfig
 from usdsmoke.core.style.features import build_network
 from usdsmoke.core.style.layers import VGG19_FILE_NAME, find_vgg19_file
 from usdsmoke.core.style.losses import StyleTarget

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from tests.fixtures.camera_fixtures import camera_picture
-from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.volume import CameraSource
+from usdsmoke.config.look_sections import ViewsConfig
 from usdsmoke.core.views.cameras import (
     View,
     draw_views,

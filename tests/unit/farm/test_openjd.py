@@ -11,7 +11,7 @@ import yaml
 from tests.fixtures.pipeline_fixtures import Shot
 from tests.fixtures.usd_fixtures import file_hashes
 from usdsmoke.base.errors import ConfigError, OutputExists, PlanError
-from usdsmoke.base.resolve import read_settings, resolve_config
+from usdsmoke.config.resolve import read_settings, resolve_config
 from usdsmoke.farm.openjd import JobBundle, bundle_text, job_parameters, job_template, submit
 from usdsmoke.pipeline import Request
 from usdsmoke.ui.cli.main import main

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
-from usdsmoke.base.presets import preset_file
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.sections import StyleConfig
+from usdsmoke.config.look_sections import StyleConfig
+from usdsmoke.config.presets import preset_file
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.style.style_image import scale_style
 from usdsmoke.core.views.scene import measure_scene

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from usdsmoke.base.machine import available_memory_gib, free_disk_bytes
-from usdsmoke.base.presets import preset_file
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
+from usdsmoke.config.presets import preset_file
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.controls import coarse_factor
 from usdsmoke.planning.estimate import START, CostEstimate, FrameSize, estimate_run
 

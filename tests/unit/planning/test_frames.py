@@ -15,9 +15,9 @@ from tests.fixtures.usd_fixtures import (
     write_vdb,
 )
 from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import FrameSource, VolumeSource
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.planning.frame_reader import read_frame, read_velocity_grids
 from usdsmoke.planning.frames import (
     VelocitySource,

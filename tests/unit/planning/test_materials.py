@@ -7,7 +7,7 @@ from pxr import Gf, Sdf
 
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
 from tests.fixtures.usd_fixtures import density_prim, sequence, volume_prim, world
-from usdsmoke.base.resolve import resolve_config
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.planning.make_plan import make_plan
 from usdsmoke.planning.plan import Plan
 from usdsmoke.ui.cli.main import main

@@ -17,7 +17,7 @@ from tests.fixtures.usd_fixtures import (
     write_vdb,
 )
 from usdsmoke.base.errors import DamagedFile, PlanError, UnsupportedGrid
-from usdsmoke.base.resolve import resolve_config
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.planning import make_plan as plan_module
 from usdsmoke.planning.make_plan import check_plan, make_plan
 from usdsmoke.planning.plan import Plan

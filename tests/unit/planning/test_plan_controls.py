@@ -10,8 +10,8 @@ from pxr import Sdf
 from tests.fixtures.mask_fixtures import make_stage, write_mask
 from tests.fixtures.pipeline_fixtures import Shot, run, values_of
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.resolve import resolve_config
 from usdsmoke.base.volume import FrameControls
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.make_plan import make_plan
 from usdsmoke.planning.plan import Plan

@@ -18,7 +18,7 @@ from tests.fixtures.usd_fixtures import (
     write_text,
     write_vdb,
 )
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.pipeline import Request, plan_request, stylize
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs import coarse

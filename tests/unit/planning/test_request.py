@@ -7,7 +7,7 @@ from pxr import Sdf, Usd
 
 from tests.fixtures.usd_fixtures import plume_stage, write_text
 from usdsmoke.base.errors import ConfigError, StageError
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.pipeline import Request
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.base.sections import WindowsConfig
+from usdsmoke.config.run_sections import WindowsConfig
 from usdsmoke.planning.windows import coarse_runs, find_cuts, split_windows
 
 TIME_CODES = st.lists(st.integers(-1000, 1000), unique=True, max_size=40).map(

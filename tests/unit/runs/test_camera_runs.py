@@ -18,9 +18,9 @@ from tests.fixtures.usd_fixtures import (
     write_text,
 )
 from usdsmoke.base.errors import PlanError, StageError
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.farm import submit
 from usdsmoke.planning.estimate import FrameSize, estimate_run
 from usdsmoke.planning.frame_reader import FrameReader

@@ -15,7 +15,6 @@ from usdsmoke.base.frame_report import (
     TemporalErrors,
     TransportReport,
 )
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.storage import prune_fields, storage_errors
 from usdsmoke.base.volume import DenseField
 from usdsmoke.runs.budget import ErrorBudget
@@ -122,14 +121,14 @@ def fields() -> list[DenseField]:
 
 
 def test_nothing_is_lost_in_32_bit_floats() -> None:
-    lost = storage_errors(fields(), GridsConfig())
+    lost = storage_errors(fields(), False, 0.0)
     assert (lost.storage_density.value, lost.storage_emission.value) == (0, 0)
 
 
 def test_pruning_loses_the_share_of_the_thin_smoke() -> None:
     density, emission = fields()
     thin = density.values <= 0.25
-    lost = storage_errors([density, emission], GridsConfig(prune=0.25))
+    lost = storage_errors([density, emission], False, 0.25)
     shares = [
         part.values[thin].sum(dtype=float) / part.values.sum(dtype=float)
         for part in (density, emission)
@@ -140,17 +139,17 @@ def test_pruning_loses_the_share_of_the_thin_smoke() -> None:
 
 
 def test_half_floats_lose_a_quarter_of_their_unit_on_average() -> None:
-    lost = storage_errors(fields()[:1], GridsConfig(half=True))
+    lost = storage_errors(fields()[:1], True, 0.0)
     # numbers are off by at most half of their last of 11 bits, evenly spread: 2^-13 to 2^-14
     assert 2**-14 < lost.storage_density.value * 1.5 < 2**-12
 
 
 def test_what_half_floats_cannot_hold_is_lost_altogether() -> None:
     faint = DenseField("density", np.full((2, 2, 2), 1e-9, np.float32), (0, 0, 0), np.eye(4))
-    assert storage_errors([faint], GridsConfig(half=True)).storage_density.value == 1.0
+    assert storage_errors([faint], True, 0.0).storage_density.value == 1.0
 
 
 def test_an_empty_field_loses_nothing() -> None:
     empty = DenseField("density", np.zeros((0, 0, 0), np.float32), (0, 0, 0), np.eye(4))
-    lost = storage_errors([empty], GridsConfig(half=True, prune=0.1))
+    lost = storage_errors([empty], True, 0.1)
     assert lost.storage_density.value == 0

@@ -17,7 +17,7 @@ from usdsmoke.base.frame_report import (
     TemporalErrors,
     TransportReport,
 )
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.runs.budget import ErrorBudget, Finding
 from usdsmoke.runs.budget.findings import find_frame
 from usdsmoke.ui.cli.budget_text import budget_text

@@ -12,7 +12,7 @@ from usdsmoke.base.frame_report import (
     LightReport,
     SightReport,
 )
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.runs.budget.findings import find_frame
 
 

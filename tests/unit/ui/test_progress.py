@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from usdsmoke.base.frame_report import Progress
-from usdsmoke.base.resolve import resolve_config
-from usdsmoke.base.settings import Config
+from usdsmoke.config.resolve import resolve_config
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.schedule import octave_iterations, warm_iterations
 from usdsmoke.runs.budget import Finding
 from usdsmoke.runs.progress import RunProgress, WorkMeter

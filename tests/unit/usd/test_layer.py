@@ -20,8 +20,8 @@ from tests.fixtures.usd_fixtures import (
 from usdsmoke.base.errors import LayerError, WriteFailed
 from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord
-from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.base.volume import WrittenFrame
+from usdsmoke.config.run_sections import LayerConfig, StageConfig
 from usdsmoke.usd.layer_record import read_record
 from usdsmoke.usd.look import StylizedVolume, author_look, look_files
 from usdsmoke.usd.stage import find_volumes, open_stage

@@ -17,7 +17,7 @@ from tests.fixtures.usd_fixtures import (
     write_text,
 )
 from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord
-from usdsmoke.base.sections import LayerConfig, StageConfig
+from usdsmoke.config.run_sections import LayerConfig, StageConfig
 from usdsmoke.usd.look import StylizedVolume, author_look
 from usdsmoke.usd.stage import find_volumes, open_stage
 

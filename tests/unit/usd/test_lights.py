@@ -18,7 +18,8 @@ from tests.fixtures.usd_fixtures import (
 )
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord
-from usdsmoke.base.sections import LayerConfig, OpticsConfig, StageConfig
+from usdsmoke.config.look_sections import OpticsConfig
+from usdsmoke.config.run_sections import LayerConfig, StageConfig
 from usdsmoke.usd.inspect import inspect
 from usdsmoke.usd.look import StylizedVolume, author_look
 from usdsmoke.usd.stage import composed_volumes, find_volumes, lit_by, open_stage

@@ -15,8 +15,8 @@ from tests.fixtures.usd_fixtures import (
     write_text,
 )
 from usdsmoke.base.record_format import RECORD_FORMAT, RunRecord
-from usdsmoke.base.sections import LayerConfig, StageConfig
 from usdsmoke.base.volume import EarlierLooks
+from usdsmoke.config.run_sections import LayerConfig, StageConfig
 from usdsmoke.usd.gate import validate_look
 from usdsmoke.usd.look import StylizedVolume, author_look
 from usdsmoke.usd.rules import validate

@@ -13,7 +13,7 @@ from tests.fixtures.usd_fixtures import (
 )
 from tests.unit.usd.test_stage_refusals import refuse
 from usdsmoke.base.errors import StageError
-from usdsmoke.base.sections import StageConfig
+from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.usd.rules import validate
 from usdsmoke.usd.stage import find_volumes, open_stage
 

@@ -19,7 +19,7 @@ from tests.fixtures.usd_fixtures import (
 )
 from usdsmoke import inspect
 from usdsmoke.base.errors import AssetNotResolved, ConfigError, LayerError, StageError
-from usdsmoke.base.sections import StageConfig
+from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.ui.cli.main import main
 from usdsmoke.ui.cli.text import source_stage_text
 from usdsmoke.usd.rules import validate

@@ -21,7 +21,7 @@ from tests.fixtures.usd_fixtures import (
     write_vdb,
 )
 from usdsmoke.base.errors import FieldNotFound
-from usdsmoke.base.sections import StageConfig
+from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.ui.cli.main import main
 from usdsmoke.usd.stage import find_volumes, open_stage
 

@@ -21,7 +21,7 @@ from tests.fixtures.usd_fixtures import (
     write_vdb,
 )
 from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError, VolumeNotFound
-from usdsmoke.base.sections import StageConfig
+from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.usd.look.root import copy_stage_metadata
 from usdsmoke.usd.rules import validate
 from usdsmoke.usd.stage import find_volumes, open_stage

@@ -21,7 +21,7 @@ from usdsmoke.base.errors import (
     UsdSmokeError,
     WriteFailed,
 )
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb import child
 from usdsmoke.vdb.child import ChildFailure, end_worker, run_child
 from usdsmoke.vdb.read import GridRequest, read_binding_version, read_grids
@@ -311,7 +311,7 @@ def test_the_worker_and_its_folders_go_with_the_parent(
     temporary.mkdir()
     code = (
         "import sys, time\nfrom usdsmoke.vdb import child\n"
-        "from usdsmoke.vdb.read import *\nfrom usdsmoke.base.sections import GridsConfig\n"
+        "from usdsmoke.vdb.read import *\nfrom usdsmoke.config.run_sections import GridsConfig\n"
         "read_grids(sys.argv[1], [GridRequest('density')], GridsConfig())\n"
         "print(child._worker.process.pid, flush=True)\n"
         "sys.stdin.read()\n"

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from usdsmoke.base.naming import channel_names, colour_names
-from usdsmoke.base.sections import LayerConfig
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.run_sections import LayerConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.vdb.colour_grids import absolute_emission, empty_colour_grids, make_colour_grids
 
 GAMMA_W = 0.37

@@ -9,7 +9,7 @@ import pytest
 from tests.fixtures.counters import Reads, unnamed_files
 from tests.fixtures.grids_fixtures import TIGHT, make_field, make_vectors, raw_grid, write_raw
 from usdsmoke.base.errors import NonFiniteError, UnsupportedGrid
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.store import GridStore
 from usdsmoke.vdb.write import write_frame

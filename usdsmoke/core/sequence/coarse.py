@@ -12,8 +12,8 @@ from functools import partial
 import numpy as np
 
 from usdsmoke.base.frame_report import ProgressCallback
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.controls import coarse_factor, without_network
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import (

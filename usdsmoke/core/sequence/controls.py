@@ -6,10 +6,10 @@ No torch here, because the plan uses it.
 from collections.abc import Iterable, Sequence
 
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.sections import ColourConfig
-from usdsmoke.base.setting_model import extra_of
-from usdsmoke.base.settings import Config, declared_settings, style_shares
 from usdsmoke.base.volume import FrameControls, VolumeSource
+from usdsmoke.config.look_sections import ColourConfig
+from usdsmoke.config.setting_model import extra_of
+from usdsmoke.config.settings import Config, declared_settings, style_shares
 from usdsmoke.core.smoke.schedule import (
     OCTAVE_SCALE,
     network_iterations,
@@ -17,6 +17,7 @@ from usdsmoke.core.smoke.schedule import (
     warm_iterations,
 )
 
+BRIGHTEST = 2.54  # times white, of what a voxel emits: ``core.smoke.srgb.BRIGHTEST``, linear
 # The dotted name of a setting by the field of ``FrameControls`` that stands for it.
 SETTINGS = {
     extra["control"]: name
@@ -144,6 +145,18 @@ def step_iterations(
     if step == "colour" and config.optimize.start:
         return network_iterations(octaves, n_voxels)
     return octaves
+
+
+def brightest_emission(gamma_w: float, config: Config) -> float:
+    """The largest emission per density, in light per stage unit; 0 without a colour step.
+
+    Args:
+        gamma_w: extinction per density, 1/stage unit.
+        config: of the frame.
+    """
+    if "colour" not in config.optimize.steps:
+        return 0.0
+    return BRIGHTEST * gamma_w * config.optimize.strength / 2.0 ** (config.optics.exposure or 0.0)
 
 
 def network_alone(config: Config) -> bool:

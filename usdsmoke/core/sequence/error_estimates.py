@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.frame_report import SHORTEST_WAY, Estimate, FrameErrors, StepReport
-from usdsmoke.base.sections import OpticsConfig
+from usdsmoke.config.look_sections import OpticsConfig
 from usdsmoke.core.fields.richardson import StepError
 from usdsmoke.core.sequence.frame_state import OpenedFrame, PaintedFrame
 from usdsmoke.core.sequence.picture_errors import (

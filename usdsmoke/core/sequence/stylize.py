@@ -9,8 +9,8 @@ from torch import Tensor
 
 from usdsmoke.base.frame_report import FrameReport, ProgressCallback
 from usdsmoke.base.naming import EMISSION, SCATTERING
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import DenseField, VolumeFrame
+from usdsmoke.config.settings import Config
 from usdsmoke.core.fields.potential import Displacement
 from usdsmoke.core.sequence.error_estimates import (
     depth_by_side,

@@ -8,7 +8,7 @@ import torch
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.machine import usable_threads
-from usdsmoke.base.sections import OptimizeConfig
+from usdsmoke.config.run_sections import OptimizeConfig
 from usdsmoke.core.smoke.tasks import share_among
 
 # Variables by which libraries under torch take other instructions than the processor offers.

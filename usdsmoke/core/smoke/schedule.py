@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from usdsmoke.base.sections import ViewsConfig
+from usdsmoke.config.look_sections import ViewsConfig
 
 # degrees, half the ranges of azimuth and elevation of the views
 ALL_ROUND = (180.0, 20.0)

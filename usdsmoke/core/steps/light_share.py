@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.frame_report import LightReport, LookReport
-from usdsmoke.base.sections import MOST_STOPS
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import Scattering, VolumeFrame
+from usdsmoke.config.look_sections import MOST_STOPS
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.active import ActiveSmoke, activate, coarsen, sample_colours
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.srgb import decode_srgb, luminance

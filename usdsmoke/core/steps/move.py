@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from usdsmoke.base.frame_report import Estimate, TransportReport
-from usdsmoke.base.sections import ShapeConfig
 from usdsmoke.base.volume import DenseField
+from usdsmoke.config.look_sections import ShapeConfig
 from usdsmoke.core.fields.displacement import clamp_displacement
 from usdsmoke.core.fields.flow import flow
 from usdsmoke.core.fields.folding import measure_evenness

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.sections import LossesConfig, StyleConfig
-from usdsmoke.base.settings import Config, style_shares
+from usdsmoke.config.look_sections import LossesConfig, StyleConfig
+from usdsmoke.config.settings import Config, style_shares
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
@@ -99,7 +99,7 @@ class StyleTargets:
         """The same images with other ``weights``.
 
         Raises:
-            ConfigError: see ``base.settings.style_shares``.
+            ConfigError: see ``config.settings.style_shares``.
         """
         return replace(self, shares=tuple(style_shares(config, len(self.images))))
 
@@ -200,7 +200,7 @@ def make_targets(
         device: where the features are computed.
 
     Raises:
-        ConfigError: see ``layers.style_layers`` and ``base.settings.style_shares``.
+        ConfigError: see ``layers.style_layers`` and ``config.settings.style_shares``.
     """
     features, seed = config.features, config.optimize.seed
     layers = {name: config.losses.style * weight for name, weight in style_layers(features).items()}

@@ -17,7 +17,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from usdsmoke.base.sections import FeaturesConfig
+from usdsmoke.config.look_sections import FeaturesConfig
 from usdsmoke.core.style.learned import LearnedFeatures
 from usdsmoke.core.style.oriented import OrientedFeatures
 from usdsmoke.core.style.vgg19 import Vgg19Features

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from usdsmoke.base.errors import ConfigError, FeatureError, count_text
-from usdsmoke.base.sections import FeaturesConfig
+from usdsmoke.config.look_sections import FeaturesConfig
 from usdsmoke.core.style.definition import default_layers, learned_layers, oriented_layers
 
 VGG19_BLOCKS = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))  # channels, convolutions

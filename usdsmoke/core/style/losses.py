@@ -26,7 +26,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.base.sections import LossesConfig
+from usdsmoke.config.look_sections import LossesConfig
 from usdsmoke.core.smoke.memory import accumulate
 from usdsmoke.core.smoke.replay import Replay, enlarged
 from usdsmoke.core.smoke.srgb import luma

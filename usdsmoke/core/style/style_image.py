@@ -5,7 +5,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.base.sections import StyleConfig
+from usdsmoke.config.look_sections import StyleConfig
 from usdsmoke.core.smoke.srgb import luma
 
 SMALLEST = 16  # pixels; smaller styles are enlarged to this, or filters of 7 pixels see only border

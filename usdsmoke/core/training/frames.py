@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdsmoke.base.errors import PlanError
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.controls import without_network
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.training.canvas import misfit

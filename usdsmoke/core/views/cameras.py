@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.base.sections import ViewsConfig
 from usdsmoke.base.volume import CameraSource
+from usdsmoke.config.look_sections import ViewsConfig
 from usdsmoke.core.smoke.schedule import ALL_ROUND, view_ranges
 
 FIT_MARGIN = 0.02  # of the smoke's own size, on every side of a picture that is fitted to it

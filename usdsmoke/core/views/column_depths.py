@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from usdsmoke.base.sections import OpticsConfig
+from usdsmoke.config.look_sections import OpticsConfig
 from usdsmoke.core.smoke.levels import bounded, ranked
 from usdsmoke.core.smoke.thicken import Thickening, find_thickening
 from usdsmoke.core.smoke.voxels import Voxels

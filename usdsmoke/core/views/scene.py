@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.base.sections import OpticsConfig, ViewsConfig
 from usdsmoke.base.volume import CameraSource, VolumeFrame
+from usdsmoke.config.look_sections import OpticsConfig, ViewsConfig
 from usdsmoke.core.smoke.levels import bounded
 from usdsmoke.core.smoke.schedule import pool_size, view_ranges
 from usdsmoke.core.smoke.thicken import Thickening

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from usdsmoke.base.frame_report import DIM, FrameReport
-from usdsmoke.base.sections import MOST_STOPS, OpticsConfig
+from usdsmoke.config.look_sections import MOST_STOPS, OpticsConfig
 from usdsmoke.core.views.column_depths import MUCH
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.runs.budget.finding import Finding

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from usdsmoke.base.frame_report import FrameReport
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.planning.remarks import EXTREME_RATE
 from usdsmoke.runs.budget.finding import Finding
 from usdsmoke.runs.budget.rows import COLOUR_OPTIMISER

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from usdsmoke.base.errors import UsdSmokeError, count_text
 from usdsmoke.base.publish import share_file
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.controls import frames_ahead
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from usdsmoke.base.errors import count_text
-from usdsmoke.base.presets import preset_file
 from usdsmoke.base.publish import publish_file
-from usdsmoke.base.resolve import Settings, resolve_config, settings_yaml
-from usdsmoke.base.settings import Config
+from usdsmoke.config.presets import preset_file
+from usdsmoke.config.resolve import Settings, resolve_config, settings_yaml
+from usdsmoke.config.settings import Config
 from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.ui.cli.plan_text import plan_text
 from usdsmoke.ui.cli.record_text import provenance_text, rerun_text, verification_text

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.presets import PRESETS, preset_file
-from usdsmoke.base.resolve import GivenSettings, read_settings
-from usdsmoke.base.setting_model import allowed_values
-from usdsmoke.base.settings import SECTIONS, declared_settings
+from usdsmoke.config.presets import PRESETS, preset_file
+from usdsmoke.config.resolve import GivenSettings, read_settings
+from usdsmoke.config.setting_model import allowed_values
+from usdsmoke.config.settings import SECTIONS, declared_settings
 
 OPTIONS = {  # that stand for a setting
     "--prim": "stage.prims",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.record_format import MachineRecord
-from usdsmoke.base.settings import Config
+from usdsmoke.config.settings import Config
 from usdsmoke.ui.cli.text import columns
 
 if TYPE_CHECKING:

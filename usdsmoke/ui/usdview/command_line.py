@@ -12,11 +12,11 @@ from pxr import Sdf, Usd
 
 from usdsmoke.base.errors import LayerError, StageError
 from usdsmoke.base.record_format import RunRecord
-from usdsmoke.base.resolve import PATH_SETTINGS
-from usdsmoke.base.sections import StageConfig
-from usdsmoke.base.settings import Config
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.base.volume import VolumeSource
+from usdsmoke.config.resolve import PATH_SETTINGS
+from usdsmoke.config.run_sections import StageConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.ui.usdview.looks import Look, find_looks, looks_of, shown_run
 from usdsmoke.usd.field_samples import held_time_code
 from usdsmoke.usd.layer_record import read_record

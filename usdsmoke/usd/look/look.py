@@ -11,9 +11,9 @@ from usdsmoke.base.errors import LayerError, WriteFailed
 from usdsmoke.base.naming import COLOUR_VECTORS, EMISSION, ORIGINAL, VARIANT_SET
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.record_format import RunRecord, hash_stream
-from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.time_codes import format_time_codes, name_time_codes
 from usdsmoke.base.volume import EarlierLooks, StageSource
+from usdsmoke.config.run_sections import LayerConfig
 from usdsmoke.usd.diagnostics import captured_diagnostics, readable_values, short_reason
 from usdsmoke.usd.layer_record import add_digests, put_record, record_values
 from usdsmoke.usd.look.attributes import author_attributes

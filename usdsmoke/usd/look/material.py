@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pxr import Sdf, Usd, UsdGeom
 
 from usdsmoke.base.naming import EMISSION
-from usdsmoke.base.sections import LayerConfig
+from usdsmoke.config.run_sections import LayerConfig
 from usdsmoke.usd.look.networks import Input, Network, Node, Smoke, Varying, network
 from usdsmoke.usd.look.records import StylizedVolume, shader_name
 from usdsmoke.usd.materials import BINDING, purposes_to_bind

@@ -6,8 +6,8 @@ from functools import cached_property
 from pathlib import Path, PurePath
 
 from usdsmoke.base.naming import EMISSION, look_suffix
-from usdsmoke.base.sections import LayerConfig
 from usdsmoke.base.volume import LightSource, StageSource, VolumeSource, WrittenFrame
+from usdsmoke.config.run_sections import LayerConfig
 from usdsmoke.usd.field_samples import held_time_code
 from usdsmoke.usd.schema import EMISSION_ABSOLUTE
 

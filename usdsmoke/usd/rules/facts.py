@@ -9,9 +9,9 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import GridError, StageError
-from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import FIELD_SEPARATORS, VELOCITY_NAMES
+from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.usd.field_samples import (
     FieldSample,
     FieldSamples,

@@ -10,7 +10,7 @@ from pxr import Ar, Gf, Sdf, Usd
 
 from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageError
 from usdsmoke.base.record_format import hash_file
-from usdsmoke.base.sections import GridsConfig
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.usd.layer_record import LAYER_HASH, layer_digest, read_record, record_values
 from usdsmoke.usd.rules.facts import Problem, Severity, collect_fields, grouped
 from usdsmoke.usd.rules.staleness import rewritten_sources, switched_variants

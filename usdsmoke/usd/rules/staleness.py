@@ -10,9 +10,9 @@ from pxr import Sdf
 
 from usdsmoke.base.errors import FileUnreadable, GridError, StageError
 from usdsmoke.base.record_format import RunRecord, SourceGrid, hash_file
-from usdsmoke.base.sections import GridsConfig
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.base.volume import GRID_SEPARATORS, StageSource
+from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.content_hash import hash_fields
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, read_grids

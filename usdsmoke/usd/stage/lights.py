@@ -8,9 +8,9 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdLux
 
 from usdsmoke.base.errors import ConfigError, count_text
-from usdsmoke.base.sections import MOST_STOPS, OpticsConfig
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import FrameSource, LightSource, StageSource, VolumeSource
+from usdsmoke.config.look_sections import MOST_STOPS, OpticsConfig
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.values import authored_path
 

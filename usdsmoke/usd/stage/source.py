@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pxr import Usd
 
-from usdsmoke.base.settings import Config
 from usdsmoke.base.volume import EarlierLooks
+from usdsmoke.config.settings import Config
 from usdsmoke.usd.stage.cameras import seen_through
 from usdsmoke.usd.stage.lights import lit_by
 from usdsmoke.usd.stage.originals import check_originals, open_source

@@ -17,7 +17,6 @@ from usdsmoke.base.errors import (
     others_advice,
 )
 from usdsmoke.base.naming import VARIANT_SET
-from usdsmoke.base.sections import StageConfig
 from usdsmoke.base.time_codes import (
     FrameRange,
     describe_gaps,
@@ -35,6 +34,7 @@ from usdsmoke.base.volume import (
     StyleRequest,
     VolumeSource,
 )
+from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.field_samples import FieldSamples
 from usdsmoke.usd.materials import find_materials

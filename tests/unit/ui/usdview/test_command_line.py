@@ -19,7 +19,7 @@ from tests.fixtures.usd_fixtures import (
     write_vdb,
 )
 from tests.fixtures.usdview_fixtures import FakeApi, do, open_in_usdview, refusal, two_plumes_stage
-from usdsmoke.base.resolve import resolve_config
+from usdsmoke.config.resolve import resolve_config
 from usdsmoke.ui.cli.arguments import build_parser
 from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.usd.layer_record import put_record, read_record

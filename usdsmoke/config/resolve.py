@@ -18,9 +18,9 @@ from pydantic.fields import FieldInfo
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.naming import relative_asset_path
-from usdsmoke.base.sections import OWN_NETWORK
-from usdsmoke.base.setting_model import allowed_values, extra_of, range_text, type_text
-from usdsmoke.base.settings import SECTIONS, Config, declared_settings, flatten_settings
+from usdsmoke.config.run_sections import OWN_NETWORK
+from usdsmoke.config.setting_model import allowed_values, extra_of, range_text, type_text
+from usdsmoke.config.settings import SECTIONS, Config, declared_settings, flatten_settings
 
 FilePath = str | PathLike[str]
 Styles = FilePath | Sequence[FilePath] | None

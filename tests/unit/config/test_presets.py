@@ -10,9 +10,9 @@ from tests.fixtures.pipeline_fixtures import FakeCore, Shot
 from tests.fixtures.usd_fixtures import write_text
 from usdsmoke.audit import provenance
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.presets import PRESETS, preset_file
-from usdsmoke.base.resolve import resolve_settings
-from usdsmoke.base.settings import Config
+from usdsmoke.config.presets import PRESETS, preset_file
+from usdsmoke.config.resolve import resolve_settings
+from usdsmoke.config.settings import Config
 from usdsmoke.core.style.layers import style_layers
 from usdsmoke.ui.cli.main import main
 

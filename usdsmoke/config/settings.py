@@ -8,21 +8,23 @@ from pydantic.fields import FieldInfo
 
 from usdsmoke.base.errors import ConfigError, count_text
 from usdsmoke.base.naming import EMISSION, SCATTER_COLOURS, SCATTERING, colour_names
-from usdsmoke.base.sections import (
+from usdsmoke.config.look_sections import (
     ColourConfig,
     FeaturesConfig,
-    GridsConfig,
-    LayerConfig,
     LossesConfig,
     OpticsConfig,
-    OptimizeConfig,
     ShapeConfig,
-    StageConfig,
     StyleConfig,
     ViewsConfig,
+)
+from usdsmoke.config.run_sections import (
+    GridsConfig,
+    LayerConfig,
+    OptimizeConfig,
+    StageConfig,
     WindowsConfig,
 )
-from usdsmoke.base.setting_model import Section, nearest
+from usdsmoke.config.setting_model import Section, nearest
 
 # Of lit smoke where ``optics.albedo`` is unset. Measured smoke of fires has 0.3 (soot of flames) to
 # 0.9 (smouldering wood) [Liu2014]; half is also far from both ends, where a look is worst if its

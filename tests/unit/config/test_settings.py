@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 import usdsmoke
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.resolve import (
+from usdsmoke.config.look_sections import StyleConfig
+from usdsmoke.config.resolve import (
     GivenSettings,
     read_settings,
     recorded_settings,
@@ -25,9 +26,9 @@ from usdsmoke.base.resolve import (
     settings_record,
     settings_yaml,
 )
-from usdsmoke.base.sections import StyleConfig, WindowsConfig
-from usdsmoke.base.setting_model import allowed_values, extra_of, limits_of
-from usdsmoke.base.settings import Config, declared_settings, style_shares
+from usdsmoke.config.run_sections import WindowsConfig
+from usdsmoke.config.setting_model import allowed_values, extra_of, limits_of
+from usdsmoke.config.settings import Config, declared_settings, style_shares
 
 
 def write(folder: Path, text: str) -> Path:
