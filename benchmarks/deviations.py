@@ -24,12 +24,12 @@ from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import frame_of, paint_styles, simulate_smoke
 from usdsmoke.config.resolve import resolve_config
 from usdsmoke.config.settings import Config
+from usdsmoke.core.features.network import Network, build_network
 from usdsmoke.core.smoke.active import ActiveSmoke, activate, octaves_to_do, sample_colours
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
 from usdsmoke.core.steps.colour import initial_colours, run_colour_step
 from usdsmoke.core.steps.pictures import ColourView, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, make_targets
-from usdsmoke.core.style.features import Network, build_network
 from usdsmoke.core.style.losses import gram_matrix
 from usdsmoke.core.style.style_image import scale_style
 from usdsmoke.core.views.scene import Scene, frame_views, measure_scene

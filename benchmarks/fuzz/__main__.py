@@ -171,10 +171,6 @@ def _warm_up(with_torch: bool) -> None:
     if with_torch:
         import torch
 
-        import usdsmoke.core.rays.march
-        import usdsmoke.core.sequence.stylize
-        import usdsmoke.core.style.vgg19  # noqa: F401
-
         torch.set_num_threads(1)
     gc.collect()
     gc.freeze()  # a collection in a fork would copy every page

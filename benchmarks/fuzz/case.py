@@ -194,7 +194,7 @@ def _run_main(command: Sequence[str]) -> int:
 def _read_network(file: str) -> int:
     """What a run does with a network's file before it stylizes."""
     from usdsmoke.base.errors import UsdSmokeError
-    from usdsmoke.core.style.vgg19 import Vgg19Features
+    from usdsmoke.core.features.vgg19 import Vgg19Features
 
     try:
         Vgg19Features.from_file(file)

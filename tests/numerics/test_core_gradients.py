@@ -10,6 +10,7 @@ from torch import Tensor
 
 from tests.fixtures.smoke_fixtures import affine, held_in_voxels, puff, random_style, smoke_of
 from usdsmoke.config.look_sections import LossesConfig
+from usdsmoke.core.features.network import EmbeddedFeatures
 from usdsmoke.core.fields.lattice import Lattice, surround
 from usdsmoke.core.fields.potential import border_mask
 from usdsmoke.core.fields.pyramid import expand_levels, pyramid_shapes
@@ -18,7 +19,6 @@ from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.memory import accumulate
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.pictures import ColourView
-from usdsmoke.core.style.features import EmbeddedFeatures
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget, total_variation
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.optics import opacity

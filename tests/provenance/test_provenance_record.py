@@ -12,7 +12,7 @@ from tests.fixtures.usd_fixtures import needs_usd, write_text
 from usdsmoke.audit import provenance, verify
 from usdsmoke.base.record_format import Figure, RunRecord, hash_file
 from usdsmoke.config.run_sections import GridsConfig
-from usdsmoke.core.style.definition import embedded_hash
+from usdsmoke.core.features.definition import embedded_hash
 from usdsmoke.pipeline import assemble
 from usdsmoke.vdb.content_hash import hash_vdb_file
 from usdsmoke.vdb.header import read_header

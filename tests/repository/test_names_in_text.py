@@ -78,7 +78,7 @@ def identifiers() -> frozenset[str]:
 
 
 def leads_to_a_module(name: str) -> bool:
-    """``vdb.read``, ``read.find_grid``, ``core.style.layers``: the end of a module's path."""
+    """``vdb.read``, ``read.find_grid``, ``core.features.layers``: the end of a module's path."""
     parts = name.removeprefix(f"{PACKAGE.name}.").split(".")
     for n in range(len(parts), 0, -1):
         start = ".".join(parts[:n])

@@ -13,9 +13,9 @@ from tests.fixtures.pipeline_fixtures import Shot, contents, make_shot
 from usdsmoke.audit import prov_document, provenance, rerun, verify
 from usdsmoke.base.errors import ConfigError, FeatureError, WriteFailed
 from usdsmoke.base.record_format import hash_file
+from usdsmoke.core.features.safetensors import read_safetensors
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.smoke.active import ActiveSmoke
-from usdsmoke.core.style.safetensors import read_safetensors
 from usdsmoke.pipeline import StylizeResult, plan, stylize
 from usdsmoke.runs import window
 from usdsmoke.runs.train import train

@@ -8,10 +8,10 @@ from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FrameControls, StageSource
 from usdsmoke.config.settings import Config
+from usdsmoke.core.features.definition import learned_layers, oriented_layers
+from usdsmoke.core.features.layers import content_layers, style_layers, vgg19_layers
 from usdsmoke.core.sequence.controls import SETTINGS, are_independent, in_effect, step_iterations
 from usdsmoke.core.smoke.schedule import has_one_view, pool_size, views_aside
-from usdsmoke.core.style.definition import learned_layers, oriented_layers
-from usdsmoke.core.style.layers import content_layers, style_layers, vgg19_layers
 from usdsmoke.planning.copied import REPLACED
 from usdsmoke.planning.materials import lights_needed, lights_omitted, materials_needed
 from usdsmoke.planning.networks import start_needed

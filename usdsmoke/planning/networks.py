@@ -7,8 +7,8 @@ from pathlib import Path
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.config.look_sections import FeaturesConfig
 from usdsmoke.config.settings import Config
-from usdsmoke.core.style.definition import embedded_hash
-from usdsmoke.core.style.layers import content_layers, find_vgg19_file, style_layers
+from usdsmoke.core.features.definition import embedded_hash
+from usdsmoke.core.features.layers import content_layers, find_vgg19_file, style_layers
 
 
 def check_features(config: FeaturesConfig, here: bool = True) -> None:
@@ -18,7 +18,7 @@ def check_features(config: FeaturesConfig, here: bool = True) -> None:
         here: True if the parameter file must exist; False if other machines do the work.
 
     Raises:
-        ConfigError: see ``style_layers`` and ``content_layers`` of ``core.style.layers``.
+        ConfigError: see ``style_layers`` and ``content_layers`` of ``core.features.layers``.
         FeatureError: the parameter file is missing.
     """
     style_layers(config)

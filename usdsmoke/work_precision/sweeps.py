@@ -8,8 +8,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import FeatureError
+from usdsmoke.core.features.layers import find_vgg19_file, named_vgg19_file
 from usdsmoke.core.smoke.schedule import has_one_view
-from usdsmoke.core.style.layers import find_vgg19_file, named_vgg19_file
 from usdsmoke.planning.plan import Plan as RunPlan
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
@@ -224,7 +224,7 @@ def check_network(plan: RunPlan) -> None:
 
 
 def _load(configured: str) -> None:
-    from usdsmoke.core.style.vgg19 import Vgg19Features
+    from usdsmoke.core.features.vgg19 import Vgg19Features
 
     Vgg19Features.from_file(configured)
 

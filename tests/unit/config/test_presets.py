@@ -13,7 +13,7 @@ from usdsmoke.base.errors import ConfigError
 from usdsmoke.config.presets import PRESETS, preset_file
 from usdsmoke.config.resolve import resolve_settings
 from usdsmoke.config.settings import Config
-from usdsmoke.core.style.layers import style_layers
+from usdsmoke.core.features.layers import style_layers
 from usdsmoke.ui.cli.main import main
 
 

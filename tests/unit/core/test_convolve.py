@@ -5,7 +5,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.style.convolve import Filters, channels_last, padded, unpadded
+from usdsmoke.core.features.convolve import Filters, channels_last, padded, unpadded
 
 SIZES = [(12, 15), (11, 14), (13, 9), (7, 7)]  # even and odd ones
 

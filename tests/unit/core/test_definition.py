@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from usdsmoke.core.style import definition
-from usdsmoke.core.style.definition import embedded_hash
-from usdsmoke.core.style.learned import LearnedFeatures
-from usdsmoke.core.style.oriented import OrientedFeatures
+from usdsmoke.core.features import definition
+from usdsmoke.core.features.definition import embedded_hash
+from usdsmoke.core.features.learned import LearnedFeatures
+from usdsmoke.core.features.oriented import OrientedFeatures
 
 FOLDER = Path(definition.__file__).parent
 NUMBERS = [name for name in vars(definition) if name.isupper()]

@@ -10,13 +10,14 @@ from torch import Tensor
 from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.config.look_sections import FeaturesConfig, LossesConfig, StyleConfig
-from usdsmoke.core.style.definition import default_layers
-from usdsmoke.core.style.features import EmbeddedFeatures, build_network
-from usdsmoke.core.style.layers import layer_names, style_layers
-from usdsmoke.core.style.learned import LearnedFeatures
+from usdsmoke.core.features.definition import default_layers
+from usdsmoke.core.features.layers import layer_names, style_layers
+from usdsmoke.core.features.learned import LearnedFeatures
+from usdsmoke.core.features.network import EmbeddedFeatures, build_network
+from usdsmoke.core.features.oriented import OrientedFeatures
+from usdsmoke.core.features.whitening import colour_whitening
 from usdsmoke.core.style.losses import StyleTarget
-from usdsmoke.core.style.oriented import OrientedFeatures
-from usdsmoke.core.style.style_image import colour_whitening, match_grey, scale_style
+from usdsmoke.core.style.style_image import match_grey, scale_style
 
 STYLE = torch.from_numpy(random_style(40, 48))
 
@@ -83,7 +84,7 @@ def test_filters_are_not_learned_when_no_learned_layer_is_wanted(monkeypatch):
     def refuse(*_: object) -> None:
         raise AssertionError("learned without need")
 
-    monkeypatch.setattr("usdsmoke.core.style.learned.LearnedFeatures.__init__", refuse)
+    monkeypatch.setattr("usdsmoke.core.features.learned.LearnedFeatures.__init__", refuse)
     assert set(EmbeddedFeatures(STYLE)(STYLE, frozenset({"oriented2"}))) == {"oriented2"}
 
 

@@ -11,6 +11,7 @@ import torch
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import problem_of, quick_config, run_core, scene_of
 from usdsmoke.base.errors import FeatureError
+from usdsmoke.core.features.safetensors import safetensors_bytes
 from usdsmoke.core.generator import convolution, levels, network
 from usdsmoke.core.generator.convolution import by_number, convolve, row_product
 from usdsmoke.core.generator.definition import FORMAT, LEAST_OCTAVES
@@ -21,7 +22,6 @@ from usdsmoke.core.smoke import schedule
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.steps.behind import refine_painted
-from usdsmoke.core.style.safetensors import safetensors_bytes
 from usdsmoke.core.training.canvas import Canvas, crop
 from usdsmoke.core.training.frames import find_misfit, train_on_frames
 from usdsmoke.core.training.train import Trained

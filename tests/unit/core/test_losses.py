@@ -7,8 +7,8 @@ from torch.autograd import gradcheck
 
 from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.config.look_sections import LossesConfig
-from usdsmoke.core.style.definition import default_layers
-from usdsmoke.core.style.features import EmbeddedFeatures
+from usdsmoke.core.features.definition import default_layers
+from usdsmoke.core.features.network import EmbeddedFeatures
 from usdsmoke.core.style.losses import StyleTarget, gram_matrix, total_variation
 
 DOUBLE = torch.float64

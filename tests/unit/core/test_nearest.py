@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from usdsmoke.config.look_sections import FeaturesConfig, LossesConfig
-from usdsmoke.core.style.features import EmbeddedFeatures
-from usdsmoke.core.style.layers import nearest_layers
+from usdsmoke.core.features.layers import nearest_layers
+from usdsmoke.core.features.network import EmbeddedFeatures
 from usdsmoke.core.style.losses import StyleTarget
 from usdsmoke.core.style.nearest import MOST_LOOKED_UP, MOST_STYLE, nearest_distances, thin_out
 

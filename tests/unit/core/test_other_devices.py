@@ -15,18 +15,18 @@ from tests.fixtures.foreign_device import FOREIGN, NoReplay, foreign_device
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.config.look_sections import LossesConfig
+from usdsmoke.core.features import convolve
+from usdsmoke.core.features.network import EmbeddedFeatures, Network
+from usdsmoke.core.features.vgg19 import Vgg19Features
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence import frame_state
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.smoke import replay
 from usdsmoke.core.smoke.replay import enlarged
-from usdsmoke.core.style import convolve
-from usdsmoke.core.style.features import EmbeddedFeatures, Network
 from usdsmoke.core.style.losses import StyleTarget
 from usdsmoke.core.style.nearest import nearest_distances
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 from usdsmoke.core.style.sliced import sliced_distance
-from usdsmoke.core.style.vgg19 import Vgg19Features
 from usdsmoke.core.training.canvas import Canvas
 
 FRAMES = [frame_of(puff(8, seed), seed + 1.0) for seed in range(2)]

@@ -13,11 +13,11 @@ from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.config.look_sections import LossesConfig
 from usdsmoke.config.resolve import resolve_config
 from usdsmoke.config.settings import Config
+from usdsmoke.core.features.network import EmbeddedFeatures
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.steps.optimize import Descent, minimize
 from usdsmoke.core.steps.targets import StyleTargets, make_targets
 from usdsmoke.core.style import losses
-from usdsmoke.core.style.features import EmbeddedFeatures
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
 from usdsmoke.core.views.scene import Scene
 

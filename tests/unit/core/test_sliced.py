@@ -6,8 +6,8 @@ from torch import Tensor
 
 from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.errors import ShapeError
+from usdsmoke.core.features.network import EmbeddedFeatures
 from usdsmoke.core.steps.optimize import Descent, minimize
-from usdsmoke.core.style.features import EmbeddedFeatures
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 from usdsmoke.core.style.sliced import sliced_distance
 

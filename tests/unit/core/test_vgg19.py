@@ -11,10 +11,10 @@ from torch import Tensor, nn
 from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.base.errors import FeatureError
 from usdsmoke.config.look_sections import FeaturesConfig
-from usdsmoke.core.style.features import build_network
-from usdsmoke.core.style.layers import VGG19_FILE_NAME, find_vgg19_file
+from usdsmoke.core.features.layers import VGG19_FILE_NAME, find_vgg19_file
+from usdsmoke.core.features.network import build_network
+from usdsmoke.core.features.vgg19 import Vgg19Features
 from usdsmoke.core.style.losses import StyleTarget
-from usdsmoke.core.style.vgg19 import Vgg19Features
 
 WIDTHS = (64, 64, "M", 128, 128, "M", *[256] * 4, "M", *[512] * 4, "M", *[512] * 4)
 PICTURE = torch.from_numpy(random_style(20, 24))

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from usdsmoke.base.errors import FeatureError
+from usdsmoke.core.features.safetensors import read_safetensors, safetensors_bytes
 from usdsmoke.core.generator.definition import (
     FORMAT,
     LEAST_OCTAVES,
     count_octaves,
     parameter_shapes,
 )
-from usdsmoke.core.style.safetensors import read_safetensors, safetensors_bytes
 
 _FORMAT, _DIGEST = "usdsmoke_generator", "sha256"  # of the format, and of the numbers
 _ADVICE = "Train one with 'usdsmoke train', or leave optimize.start (--start) out."

@@ -12,13 +12,13 @@ from torch import Tensor
 
 from usdsmoke.config.look_sections import LossesConfig, StyleConfig
 from usdsmoke.config.settings import Config, style_shares
+from usdsmoke.core.features.layers import content_layers, nearest_layers, style_layers
+from usdsmoke.core.features.network import build_network
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.core.smoke.srgb import decode_srgb, luma
-from usdsmoke.core.style.features import build_network
 from usdsmoke.core.style.hues import Hues, count_hues
-from usdsmoke.core.style.layers import content_layers, nearest_layers, style_layers
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
 from usdsmoke.core.style.style_image import adjust_tones, match_grey, scale_style
 from usdsmoke.core.views.lighting import Lighting

@@ -27,11 +27,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from usdsmoke.config.look_sections import LossesConfig
+from usdsmoke.core.features.network import Network, independent_layers
 from usdsmoke.core.smoke.memory import accumulate
 from usdsmoke.core.smoke.replay import Replay, enlarged
 from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
-from usdsmoke.core.style.features import Network, independent_layers
 from usdsmoke.core.style.nearest import nearest_distances, thin_out
 from usdsmoke.core.style.quantiles import (
     at_least_single,

@@ -1,4 +1,4 @@
-"""The style image at the scale of the rendered picture, its grey levels and its colour axes."""
+"""The style image at the scale of the rendered picture, its tones and its grey levels."""
 
 import numpy as np
 import torch
@@ -66,21 +66,3 @@ def match_grey(style: Tensor, mean: float, deviation: float) -> Tensor:
     contrast = max(deviation, 0.2)  # nearly flat smoke still takes visible structure
     matched = (light - light.mean()) / spread * contrast + mean
     return matched.clamp(0, 1)[..., None].expand(-1, -1, 3).contiguous()
-
-
-def colour_whitening(pixels: Tensor, floor: float, relative: float = 0.0) -> tuple[Tensor, Tensor]:
-    """Mean [3] and ZCA matrix [3 3] of colours [... 3].
-
-    W = U diag((e + max(floor, relative * e_max))^-1/2) U^T with the covariance's eigenvalues e and
-    eigenvectors U. The floors keep directions that the style hardly has from being blown up:
-    without them a two-colour style gets green and yellow tints, and a constant one divides by zero.
-    """
-    flat = pixels.reshape(-1, 3).double()
-    mean = flat.mean(0)
-    centred = flat - mean
-    covariance = centred.T @ centred / max(len(flat), 1)
-    values, vectors = torch.linalg.eigh(covariance)
-    values = values.clamp_min(0)
-    least = (relative * values[-1]).clamp_min(floor)
-    matrix = vectors @ torch.diag((values + least).rsqrt()) @ vectors.T
-    return mean.to(pixels.dtype), matrix.to(pixels.dtype)

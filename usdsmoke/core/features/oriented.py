@@ -15,14 +15,14 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from usdsmoke.core.style.convolve import (
+from usdsmoke.core.features.convolve import (
     Filters,
     channels_last,
     empty_maps,
     padded,
     unpadded,
 )
-from usdsmoke.core.style.definition import (
+from usdsmoke.core.features.definition import (
     BINOMIAL,
     COLOUR_FLOOR,
     ENERGY_FLOOR,
@@ -32,7 +32,7 @@ from usdsmoke.core.style.definition import (
     SIZE,
     oriented_layers,
 )
-from usdsmoke.core.style.style_image import colour_whitening
+from usdsmoke.core.features.whitening import colour_whitening
 
 _BINOMIAL = torch.tensor(BINOMIAL) / sum(BINOMIAL)
 _REACH = len(BINOMIAL) // 2  # pixels

@@ -14,9 +14,14 @@ from torch import Tensor
 
 from usdsmoke.base.errors import FeatureError
 from usdsmoke.base.record_format import hash_stream
-from usdsmoke.core.style.convolve import replicated
-from usdsmoke.core.style.layers import VGG19_BLOCKS, VGG19_FILE_NAME, find_vgg19_file, vgg19_layers
-from usdsmoke.core.style.safetensors import read_safetensors
+from usdsmoke.core.features.convolve import replicated
+from usdsmoke.core.features.layers import (
+    VGG19_BLOCKS,
+    VGG19_FILE_NAME,
+    find_vgg19_file,
+    vgg19_layers,
+)
+from usdsmoke.core.features.safetensors import read_safetensors
 
 _MEAN = (0.485, 0.456, 0.406)
 _DEVIATION = (0.229, 0.224, 0.225)

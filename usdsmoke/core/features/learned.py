@@ -9,9 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.smoke.memory import add_at
-from usdsmoke.core.style.convolve import Filters, padded
-from usdsmoke.core.style.definition import (
+from usdsmoke.core.features.convolve import Filters, padded
+from usdsmoke.core.features.definition import (
     COLOUR_RELATIVE,
     DEVIATION_SHARE,
     LEAST_DEVIATION,
@@ -26,7 +25,8 @@ from usdsmoke.core.style.definition import (
     WHITENING_FLOOR,
     learned_layers,
 )
-from usdsmoke.core.style.style_image import colour_whitening
+from usdsmoke.core.features.whitening import colour_whitening
+from usdsmoke.core.smoke.memory import add_at
 
 
 class LearnedFeatures:

@@ -18,9 +18,9 @@ from typing import Protocol
 from torch import Tensor
 
 from usdsmoke.config.look_sections import FeaturesConfig
-from usdsmoke.core.style.learned import LearnedFeatures
-from usdsmoke.core.style.oriented import OrientedFeatures
-from usdsmoke.core.style.vgg19 import Vgg19Features
+from usdsmoke.core.features.learned import LearnedFeatures
+from usdsmoke.core.features.oriented import OrientedFeatures
+from usdsmoke.core.features.vgg19 import Vgg19Features
 
 
 class Network(Protocol):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from usdsmoke.base.errors import ConfigError, FeatureError, count_text
 from usdsmoke.config.look_sections import FeaturesConfig
-from usdsmoke.core.style.definition import default_layers, learned_layers, oriented_layers
+from usdsmoke.core.features.definition import default_layers, learned_layers, oriented_layers
 
 VGG19_BLOCKS = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))  # channels, convolutions
 VGG19_FILE_NAME = "vgg19-dcbb9e9d.pth"  # as torchvision names it
