@@ -4,6 +4,7 @@ import copy
 import json
 import math
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 
 import usdsmoke
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.config.look_sections import StyleConfig
+from usdsmoke.config.look_sections import StyleConfig, ViewsConfig
 from usdsmoke.config.resolve import (
     GivenSettings,
     read_settings,
@@ -29,6 +30,7 @@ from usdsmoke.config.resolve import (
 from usdsmoke.config.run_sections import WindowsConfig
 from usdsmoke.config.setting_model import allowed_values, extra_of, limits_of
 from usdsmoke.config.settings import Config, declared_settings, style_shares
+from usdsmoke.core.smoke.schedule import view_ranges
 
 
 def write(folder: Path, text: str) -> Path:
@@ -321,3 +323,11 @@ def test_shares_of_styles_are_their_weights_over_the_sum(
 def test_weights_that_do_not_fit_the_styles_are_refused(weights: list[float], fact: str) -> None:
     with pytest.raises(ConfigError, match=rf"style\.weights.*{fact}"):
         style_shares(StyleConfig(weights=weights), 2)
+
+
+@pytest.mark.parametrize("camera", ["", "/cameras/front"])
+def test_what_settings_say_of_ranges_that_are_unset_is_what_views_have(camera: str) -> None:
+    ranges = view_ranges(ViewsConfig(camera=camera))
+    for name, half in zip(("azimuth", "elevation"), ranges, strict=True):
+        told = ViewsConfig.model_fields[name].description or ""
+        assert f"{half:g}" in re.findall(r"\d+", told)

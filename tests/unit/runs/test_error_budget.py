@@ -1,6 +1,7 @@
 """The budget of a run, put together from the reports of its frames, and what storing loses."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +20,8 @@ from usdsmoke.base.storage import prune_fields, storage_errors
 from usdsmoke.base.volume import DenseField
 from usdsmoke.runs.budget import ErrorBudget
 from usdsmoke.runs.budget.error_budget import make_budget
-from usdsmoke.runs.budget.rows import ROWS
+from usdsmoke.runs.budget.rows import ROWS, ErrorRow
+from usdsmoke.runs.budget.verdicts import FINE, judge_parts
 from usdsmoke.ui.cli.budget_text import budget_text
 
 FIRST = FrameReport(
@@ -105,8 +107,21 @@ def test_a_budget_comes_back_from_json() -> None:
 def test_the_table_names_every_error() -> None:
     budget = make_budget([FIRST])
     text = budget_text(budget)
-    assert all(row.name in text for row in ROWS)
+    lines = text.splitlines()
+    # in a line of its own, or among those that are left out; "mass" is a part of other names
+    named = {re.split(r"\s{2,}", line)[0] for line in lines}
+    for line in lines:
+        if line.startswith("without "):
+            named.update(line.removeprefix("without ").partition(":")[0].split("; "))
+    assert {row.name for row in ROWS} <= named
     assert "0.20%" in text and "time: shape 2.0 s, colour 4.0 s" in text
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_a_figure_of_every_error_is_told_in_words(row: ErrorRow) -> None:
+    (told,) = judge_parts({row.name: 0.25}, lambda name: FINE, {})
+    figure, _, meaning = told.why.partition(" ")
+    assert figure == "25.00%" and meaning and told.error == row.name
 
 
 def fields() -> list[DenseField]:
