@@ -36,7 +36,10 @@ class Potential:
 
 @dataclass(frozen=True)
 class Displacement:
-    """A displacement of smoke, on the voxels of a box: stage units."""
+    """A displacement of smoke, on the voxels of a box: stage units.
+
+    Or the velocity that gives it when it is followed for a unit of time.
+    """
 
     values: Tensor  # [I J K 3]
     lattice: Lattice

@@ -178,7 +178,7 @@ class OpenedFrame:
 class ShapedFrame(OpenedFrame):
     """Has a displacement, unless it is left out."""
 
-    unclamped: Displacement | None = None  # the frame's own; averaged with the next one's later
+    unclamped: Displacement | None = None  # its velocity; averaged with the next one's later
     is_cold: bool = False  # next to none of its smoke comes from the frame before
     carried: Carried | None = None  # what the next frame starts from
 

@@ -31,7 +31,7 @@ class Carried:
     """What the next frame starts from: a sequence continues with it as if it had not been cut."""
 
     time_code: float
-    unclamped: Displacement | None = None  # neither clamped nor averaged
+    unclamped: Displacement | None = None  # the velocity, neither clamped nor averaged
     colours: Tensor | None = None  # display-encoded [N 3] of the painted voxels, not averaged
     # What displacements and colours of later frames are compared with; empty: nothing is.
     clouds: tuple[tuple[Clouds, ...], ...] = ()
@@ -52,7 +52,7 @@ class CoarseStart:
 
     time_code: float
     factor: int  # of its voxels over the full resolution's
-    displacement: Displacement | None = None
+    displacement: Displacement | None = None  # the velocity, not clamped
     smoke: ActiveSmoke | None = None  # painted voxels
     colours: Tensor | None = None  # display-encoded [N 3]
     carried: Carried | None = None  # where the next frame starts from this one

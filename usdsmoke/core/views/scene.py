@@ -56,7 +56,7 @@ class Scene:
     # Longer side of the pictures over that of pictures of the largest lump of smoke alone, where
     # pixels are larger because of the rest; else 1.
     widened: float = 1.0
-    hidden: float = 0.0  # share of the mass in columns ``MUCH`` times as thick, if these are many
+    hidden: float = 0.0  # share of the mass in far thicker columns than ``thick``, if many
     stops: float = 0.0  # exposure of the pictures: 2^stops times the light of the stage
     misfit: str = ""  # why frames do not start from the network that they should; "": they do
     network: str = ""  # SHA-256 of the network's file that the run has trained; "": none
