@@ -84,8 +84,8 @@ class OpticsConfig(Section):
         90.0, "percentile of column depth that counts as thick", gt=0, le=100)
     albedo: float | None = setting(
         None, "share of the extinguished light that smoke and the look's material scatter; "
-        "0: lights are ignored; unset: 0.5 if distant lights or domes light the smoke, 1 with "
-        "colour.target=albedo",
+        "0: lights are ignored; unset: 0.1 if distant lights or domes light the smoke, 0.5 with "
+        "colour.target=both, 1 with albedo",
         ge=0, le=1)
     anisotropy: float = setting(
         0.0, "mean cosine of scattering: above 0 forward, below 0 back, 0 to all sides",

@@ -26,10 +26,10 @@ from usdsmoke.config.run_sections import (
 )
 from usdsmoke.config.setting_model import Section, nearest
 
-# Of lit smoke where ``optics.albedo`` is unset. Measured smoke of fires has 0.3 (soot of flames) to
-# 0.9 (smouldering wood) [Liu2014]; half is also far from both ends, where a look is worst if its
-# renderer bounces light more than once (at 1) or draws no light at all (at 0).
-LIT_ALBEDO = 0.5
+# Of lit smoke where ``optics.albedo`` is unset. Scattered light is grey, and no emission takes it
+# away: where the smoke of fires has 0.3 to 0.9 [Liu2014], dark and saturated styles are washed out
+# (decision 081). Where the scattered light has colours itself, half of it is scattered.
+LIT_ALBEDO, COLOURED_ALBEDO = 0.1, 0.5
 
 
 class Config(BaseModel):
@@ -90,7 +90,7 @@ class Config(BaseModel):
         """The share of light that lit smoke scatters: ``optics.albedo``, or what stands for it."""
         if self.optics.albedo is not None:
             return self.optics.albedo
-        return 1.0 if self.colour.target == "albedo" else LIT_ALBEDO
+        return {"albedo": 1.0, "both": COLOURED_ALBEDO}.get(self.colour.target, LIT_ALBEDO)
 
     @property
     def painted(self) -> tuple[str, ...]:

@@ -25,6 +25,9 @@ COLOUR = {
 }
 
 
+HALF = Config(optics={"albedo": 0.5})
+
+
 def stylized(frame: VolumeFrame, **optics: object) -> StylizedFrame:
     config = quick_config(**COLOUR, optics=optics)
     (result,) = run_core([frame], config, styles=[STYLE], scene=scene_of([frame], config))
@@ -56,8 +59,8 @@ def test_light_on_smoke_that_scatters_none_changes_no_bit() -> None:
     assert (painted(frame, 0.9) == painted(frame, 0.0)).all()
 
 
-def test_smoke_in_light_scatters_half_of_it_by_default() -> None:
-    assert (painted(in_light(9.0), 0.5) == stylized(in_light(9.0)).emission.values).all()
+def test_smoke_in_light_scatters_a_tenth_of_it_by_default() -> None:
+    assert (painted(in_light(9.0), 0.1) == stylized(in_light(9.0)).emission.values).all()
 
 
 def test_an_exposure_stands_for_brighter_lights_and_dims_what_is_written() -> None:
@@ -70,22 +73,28 @@ def test_an_exposure_stands_for_brighter_lights_and_dims_what_is_written() -> No
 def test_light_that_vanishes_or_clips_is_told_with_the_exposure_that_mends_it(
     brightness: float, told: str
 ) -> None:
-    found = stylized(in_light(brightness)).report
-    findings = list(find_frame("a.vdb", found, Config()))
+    found = stylized(in_light(brightness), albedo=0.5).report
+    findings = list(find_frame("a.vdb", found, HALF))
     if not told:
         assert not any("exposure" in finding.setting for finding in findings)
         return
     (finding,) = (f for f in findings if f.setting == "optics.exposure")
     assert told in finding.cause
-    mended = stylized(in_light(brightness), exposure=found.light.advised).report
-    assert not any(f.setting == "optics.exposure" for f in find_frame("a.vdb", mended, Config()))
+    mended = stylized(in_light(brightness), albedo=0.5, exposure=found.light.advised).report
+    assert not any(f.setting == "optics.exposure" for f in find_frame("a.vdb", mended, HALF))
     assert 0.02 < mended.light.share < 1 and mended.light.outshone < 0.02
+
+
+def test_dim_light_that_no_one_asks_for_may_be_invisible() -> None:
+    found = stylized(in_light(0.01)).report
+    assert found.light.share < 0.02
+    assert not any("exposure" in f.setting for f in find_frame("a.vdb", found, Config()))
 
 
 @pytest.mark.parametrize("brightness", [1e-14, 1e14])
 def test_no_exposure_out_of_its_limits_is_advised(brightness: float) -> None:
-    found = stylized(in_light(brightness)).report
-    (finding,) = (f for f in find_frame("a.vdb", found, Config()) if f.setting == "optics.exposure")
+    found = stylized(in_light(brightness), albedo=0.5).report
+    (finding,) = (f for f in find_frame("a.vdb", found, HALF) if f.setting == "optics.exposure")
     assert "optics.exposure" not in finding.remedy and "brightness" in finding.remedy
 
 

@@ -39,11 +39,11 @@ def test_a_stage_with_a_sun_is_lit_by_default_and_the_plan_says_how_to_leave_it_
     said = {item.what: item.reason for item in made.omitted}
     assert "SphereLight" in said["light </lamp>"] and len(made.source.lights) == 2
     (needed,) = (text for text in made.needed if "</sun>" in text)
-    for fact in ("50%", "optics.albedo", "from 0 0 1", "colour 3.36 3.36 3.36", "0 leaves it out"):
+    for fact in ("10%", "optics.albedo", "from 0 0 1", "colour 3.36 3.36 3.36", "0 leaves it out"):
         assert fact in needed
     (note,) = (text for text in made.notes if "made for its lights" in text)
     assert not any("</sun>" in text for text in made.notes)  # said once
-    white = 0.5 * 3.36 / (8 * math.pi)  # of a wall that faces the sun
+    white = 0.1 * 3.36 / (8 * math.pi)  # of a wall that faces the sun
     assert f"{white:.2g} times as bright" in note
 
 
@@ -73,7 +73,7 @@ def test_a_light_that_changes_is_told_where_it_is_brightest(tmp_path: Path) -> N
     (needed,) = (text for text in made.needed if "</sun>" in text)
     assert "colour 5 5 5 at timeCode 2" in needed
     (note,) = (text for text in made.notes if "made for its lights" in text)
-    assert f"{0.5 * 5 / (8 * math.pi):.2g} times as bright as white at timeCode 2" in note
+    assert f"{0.1 * 5 / (8 * math.pi):.2g} times as bright as white at timeCode 2" in note
 
 
 @pytest.mark.parametrize("towards", [(0.3, -2.0, 0.4), (0.0, 1.0, 0.0), (-1.0, 0.5, -3.0)])

@@ -212,8 +212,12 @@ def _find_sides(
         )
 
 
-def find_light(name: str, report: FrameReport) -> Iterator[Finding]:
-    """Whether lit smoke vanishes or clips."""
+def find_light(name: str, report: FrameReport, is_asked: bool) -> Iterator[Finding]:
+    """Whether lit smoke vanishes or clips.
+
+    Args:
+        is_asked: settings ask for scattered light; light that no one asks for may be invisible.
+    """
     light = report.light
     if light is None:
         return
@@ -223,7 +227,7 @@ def find_light(name: str, report: FrameReport) -> Iterator[Finding]:
     if light.reach == 0:
         cause = "none of the lights reaches the stylized smoke"
         advice = "Move the lights, or leave them out (colour.target=emission, optics.albedo=0)"
-    elif light.share < DIM:
+    elif light.share < DIM and is_asked:
         share = f"{100 * light.share:.2g}%"
         cause = f"the lights give only {share} of the smoke's brightness, which is not visible"
         advice += ", or leave them out (optics.albedo=0)"
