@@ -14,10 +14,10 @@ from PIL import Image
 
 import usdsmoke
 
-__all__ = ["join_pictures", "main"]
+__all__ = ["join_pictures", "main", "stack_pictures"]
 
 PICTURE = Path("docs/pictures/houdini_grids.png")
-WIDTH = 1200  # pixels of the joined picture
+WIDTH = 1200  # pixels of the picture
 
 
 def join_pictures(file_paths: list[Path], width: int) -> Image.Image:
@@ -31,6 +31,18 @@ def join_pictures(file_paths: list[Path], width: int) -> Image.Image:
         joined.paste(picture, (left, 0))
         left += picture.width
     return joined.resize((width, round(joined.height * width / joined.width)), Image.LANCZOS)
+
+
+def stack_pictures(file_paths: list[Path], width: int) -> Image.Image:
+    """The pictures below each other, each scaled to a width of ``width`` pixels."""
+    found = [Image.open(file_path).convert("RGB") for file_path in file_paths]
+    rows = [p.resize((width, round(p.height * width / p.width)), Image.LANCZOS) for p in found]
+    stack = Image.new("RGB", (width, sum(row.height for row in rows)))
+    top = 0
+    for row in rows:
+        stack.paste(row, (0, top))
+        top += row.height
+    return stack
 
 
 def main() -> None:
@@ -49,7 +61,7 @@ def main() -> None:
         settings=[f"grids.refine={arguments.refine}"],
         force=True,
     )
-    join_pictures(sorted(result.contact_sheets), WIDTH).save(PICTURE)
+    stack_pictures(sorted(result.contact_sheets), WIDTH).save(PICTURE)
     seconds = time.perf_counter() - began
     print(f"{len(result.frames)} grids in {seconds:.0f} s: {result.root_stage}, {PICTURE}")
 

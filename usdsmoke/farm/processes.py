@@ -9,6 +9,7 @@ import os
 import signal
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 
@@ -161,7 +162,14 @@ class _Pool:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_work, args=(theirs, self._tasks), daemon=True)
-        process.start()
+        # Ctrl-C waits while the process loads its modules. Python's own helper process comes first,
+        # as its start lets signals through again.
+        resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         theirs.close()
         return ours, process
 
@@ -201,13 +209,17 @@ class _Pool:
 
 def _work(connection: Connection, tasks: Tasks) -> None:
     """The life of a process: windows come in, progress goes out, then None or an error."""
-    while True:
-        try:
+    try:
+        os.setpgid(0, 0)  # a terminal's Ctrl-C is for the run, which then stops its processes
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        while True:
             window, n_cpus = connection.recv()
             limit_cpus(n_cpus)
-            tasks.run(window, connection.send)
-            connection.send(None)
-        except UsdSmokeError as error:
-            connection.send(error)
-        except (EOFError, ConnectionError, KeyboardInterrupt):
-            return  # the run has ended
+            try:
+                tasks.run(window, connection.send)
+            except UsdSmokeError as error:
+                connection.send(error)
+            else:
+                connection.send(None)
+    except (EOFError, ConnectionError, KeyboardInterrupt):
+        return  # the run has ended

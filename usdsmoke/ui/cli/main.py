@@ -17,7 +17,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 from usdsmoke.base.errors import Interrupted, UsdSmokeError
@@ -30,6 +30,7 @@ from usdsmoke.base.machine import (
 
 _LOWER = "Lower views.pool, views.image_size or grids.refine"
 _BROKEN_PIPE = 128 + 13
+_AGAIN_S = 0.02  # until a signal that waits for an import is looked at again
 
 
 class _Stopped(KeyboardInterrupt):
@@ -43,25 +44,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments without the program's name; None takes the process's own.
     """
     words = sys.argv[1:] if argv is None else argv
-    prepare_numpy_environment()
-    try:
-        check_packages("numpy", "yaml", "pydantic", "rich")  # which the imports below need
-    except UsdSmokeError as error:
-        _report(error, argparse.Namespace(verbose=False, json="--json" in words))
-        return 1
-    from usdsmoke.ui.cli.arguments import build_parser
-    from usdsmoke.ui.cli.values import empty_path
-
-    parser, commands = build_parser(), _commands()
-    arguments = parser.parse_args(words)
-    arguments.starting = process_seconds() if argv is None else 0.0
-    if name := empty_path(arguments):
-        parser.error(f"{name} is empty. Give a path.")
     try:
         with _signals_as_exceptions() as seen:
-            code = _run(commands[arguments.command], arguments, seen)
-        sys.stdout.flush()
-        return code
+            try:
+                code = _main(words, argv is None, seen)
+                sys.stdout.flush()
+                return code
+            except KeyboardInterrupt as error:  # before or behind the command itself
+                _report(error, _plain_arguments(words))
+                return 128 + (seen[-1] if seen else signal.SIGINT)
     except BrokenPipeError:
         # Whatever is flushed when the interpreter ends must not complain again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -69,6 +60,31 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         if argv is None:  # the process ends: to look through torch's objects takes half a second
             gc.freeze()
+            with suppress(ValueError):  # not the main thread
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _main(words: Sequence[str], is_process: bool, seen: list[int]) -> int:
+    prepare_numpy_environment()
+    try:
+        check_packages("numpy", "yaml", "pydantic", "rich")  # which the imports below need
+    except UsdSmokeError as error:
+        _report(error, _plain_arguments(words))
+        return 1
+    from usdsmoke.ui.cli.arguments import build_parser
+    from usdsmoke.ui.cli.values import empty_path
+
+    parser, commands = build_parser(), _commands()
+    arguments = parser.parse_args(words)
+    arguments.starting = process_seconds() if is_process else 0.0
+    if name := empty_path(arguments):
+        parser.error(f"{name} is empty. Give a path.")
+    return _run(commands[arguments.command], arguments, seen)
+
+
+def _plain_arguments(words: Sequence[str]) -> argparse.Namespace:
+    """What a message needs to know of arguments that are not parsed."""
+    return argparse.Namespace(verbose=False, json="--json" in words)
 
 
 def _commands() -> dict[str, Callable[[argparse.Namespace], int]]:
@@ -116,23 +132,40 @@ def _run(
 
 @contextmanager
 def _signals_as_exceptions() -> Iterator[list[int]]:
-    """SIGINT and SIGTERM end the work from inside, so that it can tidy up; yields those seen."""
+    """SIGINT and SIGTERM end the work from inside, so that it can tidy up; yields those seen.
+
+    They wait while a module is loaded: USD loads its own from C++ and loses what is raised there.
+    """
     seen: list[int] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
-        seen.append(number)
+        if number != signal.SIGALRM:
+            seen.append(number)
+        if _is_importing(frame):
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            return
         raise _Stopped
 
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     try:
-        before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = {number: signal.signal(number, stop) for number in numbers}
     except ValueError:  # not the main thread: signals are somebody else's business
         yield seen
         return
     try:
         yield seen
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _report(error: BaseException, arguments: argparse.Namespace) -> None:
