@@ -1,10 +1,14 @@
 """How the command ends when it does not simply succeed: signals, closed pipes, surprises."""
 
+import contextlib
+import importlib
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -41,6 +45,37 @@ def test_a_signal_ends_the_run_cleanly_and_the_same_command_goes_on(
     core.stylized.clear()
     assert main(command) == 0
     assert core.stylized == [2.0, 3.0]
+
+
+@pytest.mark.parametrize("after_s", [0.2, 0.3, 0.4, 0.5, 0.6])
+def test_a_signal_while_modules_are_loaded_is_not_lost(shot: Shot, after_s: float) -> None:
+    """USD loads its own from C++, and loses what is raised there."""
+    run = subprocess.Popen(
+        [sys.executable, "-m", "usdsmoke", "stylize", *shot.arguments()[1:]],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=PROJECT,
+    )  # fmt: skip
+    time.sleep(after_s)
+    run.send_signal(signal.SIGTERM)
+    out, err = run.communicate(timeout=60)
+    assert run.returncode == 143 and not out
+    assert "Traceback" not in err and "Error loading" not in err
+
+
+def test_a_signal_in_an_import_ends_the_command_behind_it(
+    shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, core: FakeCore
+) -> None:
+    (tmp_path / "slow_module.py").write_text("import time\ntime.sleep(0.1)\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def load_and_lose(time_code: float) -> None:
+        threading.Timer(0.05, signal.raise_signal, [signal.SIGINT]).start()
+        with contextlib.suppress(BaseException):
+            importlib.import_module("slow_module")
+        time.sleep(1)
+
+    core.before_frame = load_and_lose
+    assert main(shot.arguments()) == 130
+    assert len(core.stylized) == 0
 
 
 def test_nobody_reading_stdout_is_no_error(shot: Shot) -> None:

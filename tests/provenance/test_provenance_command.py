@@ -162,6 +162,21 @@ def test_what_has_no_record_is_refused(shot: Shot, capsys: pytest.CaptureFixture
         assert out == "" and reason in err and str(file) in err
 
 
+def test_a_folder_without_its_layers_has_the_records_of_its_runs(
+    finished: tuple[Shot, StylizeResult], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = shutil.copytree(finished[0].output, tmp_path / "copy")
+    known = [item.record.run for item in provenance(output)]
+    for layer in output.glob("*.usd*"):
+        layer.unlink()
+    assert [item.record.run for item in provenance(output)] == known
+    (folder,) = (output / "vdb").iterdir()
+    assert [item.record.run for item in provenance(folder)] == known
+    (folder / "provenance.json").write_text("{")
+    assert main(["verify", str(output)]) == 1
+    assert "provenance.json" in capsys.readouterr().err
+
+
 def test_looking_loads_no_torch(finished: tuple[Shot, StylizeResult]) -> None:
     output = str(finished[0].output)
     code = (

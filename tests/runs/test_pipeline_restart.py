@@ -194,6 +194,21 @@ def test_a_finished_frame_that_was_damaged_since_is_done_again(shot: Shot, core:
     check_content(result.frames[0])
 
 
+@pytest.mark.usefixtures("core")
+@pytest.mark.parametrize(("frames", "advice"), [("2", "--force"), ("1-3", "--frames=2")])
+def test_a_lost_frame_is_mended_as_the_refusal_says(shot: Shot, frames: str, advice: str) -> None:
+    """Its own selection is no part of a result of one frame."""
+    selected = [f"stage.frames={frames}", "windows.size=1"]
+    done = run(shot, *selected)
+    (lost,) = (file_path for file_path in done.frames if "0002" in file_path.name)
+    lost.unlink()
+    with pytest.raises(OutputExists, match=lost.name) as refusal:
+        run(shot, *selected)
+    assert advice in str(refusal.value)
+    mended = run(shot, *selected, "stage.frames=2", force=advice == "--force")
+    assert all(Path(file_path).is_file() for file_path in shown_files(mended.root_stage).values())
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -91,8 +91,8 @@ def find_records(file: str | PathLike[str]) -> list[FoundRecord]:
 
     Args:
         file: a look layer; a stage or asset that has looks in its layer stack, references or
-            variants; a flattened stage; a VDB file of a result; an output folder; or the
-            ``provenance.json`` of a run.
+            variants; a flattened stage; a VDB file of a result; an output folder, whose runs'
+            ``provenance.json`` tell where its look layers are lost; or one of these.
 
     Raises:
         FileUnreadable: there is no such file or folder.
@@ -105,7 +105,9 @@ def find_records(file: str | PathLike[str]) -> list[FoundRecord]:
     if not path.exists():
         raise FileUnreadable(f"there is no file or folder {path}. {what}")
     if path.is_dir():
-        found = _in_folder(path)
+        beside = [own] if (own := path / RECORD_FILE).is_file() else []  # the folder of a run
+        runs = beside or find_run_files(path, RECORD_FILE)
+        found = _in_folder(path) or [_of_run(record) for record in runs]
     elif path.suffix.lower() == ".vdb":
         found = _of_grids(path)
     elif path.name == RECORD_FILE:

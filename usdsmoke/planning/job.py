@@ -243,11 +243,11 @@ def _check_start(config: Config, fits: bool) -> None:
     optimize = config.optimize
     if optimize.start_file and fits:
         read_weights(Path(optimize.start_file))
-    if optimize.iterations == 0 and not optimize.start:
-        raise ConfigError(
-            "optimize.iterations is 0, but optimize.start names no network to paint the "
-            "smoke alone. Pass --start network, or give at least 1 iteration."
-        )
+    if optimize.iterations == 0 and not optimize.paints:
+        why = "optimize.start names no network to paint the smoke alone. Pass --start network"
+        if optimize.start:
+            why = "a network paints colours alone. Add colour to optimize.steps"
+        raise ConfigError(f"optimize.iterations is 0, but {why}, or give at least 1 iteration.")
 
 
 def _check_names(volume: VolumeSource, config: Config) -> None:

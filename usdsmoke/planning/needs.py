@@ -308,7 +308,7 @@ def _omitted_inputs(config: Config, volumes: Volumes) -> list[Omission]:
     omitted, frames = [], _frames(volumes)
     if all(frame.velocity is None for frame in frames):
         is_still = all(len(volume.frames) == 1 for volume in volumes)
-        expected = is_still or config.windows.size == 1
+        expected = is_still or config.windows.size == 1 or are_independent(config)
         reason = _why_no_velocity(volumes, config)
         omitted.append(Omission("velocity grids", reason, expected))
     if all(frame.mask is None for frame in frames):
@@ -320,6 +320,8 @@ def _omitted_inputs(config: Config, volumes: Volumes) -> list[Omission]:
 def _why_no_velocity(volumes: Volumes, config: Config) -> str:
     if len(_frames(volumes)) == 1:
         return "there is only one frame"
+    if are_independent(config):
+        return "a network paints each frame by itself"
     if config.stage.motion == "estimate":
         return "the motion is estimated instead (stage.motion)"
     if config.windows.size == 1:

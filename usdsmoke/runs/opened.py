@@ -98,7 +98,11 @@ class OpenRun:
             return "stopped before the first frame was finished. Nothing was left behind."
         tasks = self.plan.tasks
         done = [task for task in tasks if self.run.window(task.number) is not None]
-        n_frames = sum(len(task.window.time_codes) for task in done)
+        n_frames = sum(
+            task in done or (self.run.folder / frame.file_name).is_file()
+            for task in tasks
+            for frame in task.frames
+        )
         more = " and a part of others" if self.run.has_checkpoints else ""
         return (
             f"stopped with {n_frames} of {self.plan.n_frames} frames finished, {len(done)} of "

@@ -5,6 +5,7 @@ what all windows share.
 """
 
 import dataclasses
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke import __version__
-from usdsmoke.base.errors import ConfigError, Interrupted, PlanError, count_text
+from usdsmoke.base.errors import (
+    ConfigError,
+    FeatureError,
+    Interrupted,
+    PlanError,
+    WriteFailed,
+    count_text,
+)
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file, hash_values
@@ -22,7 +30,7 @@ from usdsmoke.config.run_sections import OWN_NETWORK
 from usdsmoke.core.generator.definition import N_ITERATIONS
 from usdsmoke.core.generator.weights import read_notes
 from usdsmoke.core.sequence.controls import network_alone
-from usdsmoke.planning.estimate import estimate_run, training_cost, training_seconds
+from usdsmoke.planning.estimate import START, estimate_run, training_cost, training_seconds
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.make_plan import check_plan
@@ -124,7 +132,8 @@ def train(
     Args:
         stage, style, settings: as in ``usdsmoke.stylize``. What decides the pictures and their
             losses should be as in the runs that use the network.
-        output: the safetensors file to write; an old one is replaced.
+        output: the safetensors file to write. An old one is replaced, unless the new one does not
+            suit the smoke.
         iterations: at most; None takes ``N_ITERATIONS``. Training ends early when a frame that is
             held out no longer improves.
         progress: called after every iteration.
@@ -132,6 +141,7 @@ def train(
 
     Raises:
         ConfigError: ``output`` has another suffix.
+        FeatureError: the network does not suit the smoke, and there is an old file.
         PlanError: there is no smoke in any frame, or too little memory.
         UsdSmokeError: see ``usdsmoke.base.errors``; no file is written then.
         Interrupted: by Ctrl-C; likewise.
@@ -148,8 +158,13 @@ def train(
         found = _train(job, reader, (volume, training.frames, scene), training.n_iterations, tell)
     except KeyboardInterrupt:
         raise Interrupted(f"stopped. {target} is unchanged.") from None
-    publish_file(target, _to_bytes(job, (volume, scene), found))
     trained = found.trained
+    if trained.misfit and target.exists():
+        raise FeatureError(
+            f"the network does not suit the smoke: {trained.misfit}. {target} stays as it was. "
+            "Train longer, or on fewer frames."
+        )
+    publish_file(target, _to_bytes(job, (volume, scene), found))
     return TrainResult(
         target, volume.source.prim_path, found.time_codes, found.held_out, trained.loss,
         trained.cold_loss, trained.n_cold, trained.n_iterations, time.monotonic() - started,
@@ -168,6 +183,11 @@ def _prepare(
     target = Path(output).absolute()
     if target.suffix != ".safetensors":
         raise ConfigError(f"a network is a .safetensors file, not {target.name}. Rename it.")
+    if not (target.parent.is_dir() and os.access(target.parent, os.W_OK)):
+        raise WriteFailed(
+            f"cannot write {target}: {target.parent} is no folder that may be written to. Create "
+            "it, or choose another one."
+        )
     # the folder is not made; only the checks of a run's inputs are wanted
     request = Request(stage, style, target.with_name(f"{target.name}.run"), settings)
     job = prepare_job(request, fits=False)
@@ -179,7 +199,8 @@ def _prepare(
     estimate = estimate_run(sizes, config, len(volume.styles))
     check_plan(dataclasses.replace(job.plan, estimate=estimate))
     codes = [frame.source.time_code for frame in frames]
-    n_most, seconds = training_cost(sizes, config, len(volume.styles), n_iterations)
+    n_most, work = training_cost(sizes, config, len(volume.styles), n_iterations)
+    seconds = START + work
     plan = TrainPlan(
         volume.source.prim_path, tuple(sorted(codes[:-1] or codes)), codes[-1],
         n_most, seconds, estimate.memory_gib,

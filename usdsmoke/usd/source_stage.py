@@ -90,7 +90,12 @@ def write_source_stage(
     for name, grid in fields.items():
         _author_field(volume, name, grid, paths)
     _author_extent(volume, headers)
-    publish_file(target, lambda path: layer.Export(str(path)))
+
+    def write(path: Path) -> None:
+        path.touch()  # where this may not be done, the system says why; USD would not
+        layer.Export(str(path))
+
+    publish_file(target, write)
     surfaces = tuple(
         name for name, grid in fields.items() if grid.grid_class == GRID_CLASSES["levelSet"]
     )

@@ -85,13 +85,17 @@ def _result_in_the_way(job: Job, known: Sequence[Run]) -> OutputExists:
         more = f" and {len(lost) - _MOST_NAMED} more" if len(lost) > _MOST_NAMED else ""
         codes = format_time_codes(sorted({float(run.frames[name]["time_code"]) for name in lost}))
         are = "is" if len(lost) == 1 else "are"
+        repair = f"Repeat the run with --frames={codes} (the setting stage.frames)"
+        if len(lost) == len(run.frames):  # then it is no part that is asked for
+            repair = f"Repeat the run with {FORCE}"
         return OutputExists(
-            f"{named}{more} {are} missing or changed in {run.folder}. Repeat the run with "
-            f"--frames={codes} (the setting stage.frames) to repair the result."
+            f"{named}{more} {are} missing or changed in {run.folder}. {repair} to repair the "
+            "result."
         )
+    again = "redo some of its frames with stage.frames (--frames), " if len(run.frames) > 1 else ""
     return OutputExists(
-        f"{output} already holds this result. Change its mode with 'usdsmoke assemble', redo "
-        f"frames with stage.frames (--frames), {advice}"
+        f"{output} already holds this result. Change its mode with 'usdsmoke assemble', {again}"
+        f"{advice}"
     )
 
 

@@ -72,13 +72,13 @@ def _main(words: Sequence[str], is_process: bool, seen: list[int]) -> int:
         _report(error, _plain_arguments(words))
         return 1
     from usdsmoke.ui.cli.arguments import build_parser
-    from usdsmoke.ui.cli.values import empty_path
+    from usdsmoke.ui.cli.values import empty_value
 
     parser, commands = build_parser(), _commands()
     arguments = parser.parse_args(words)
     arguments.starting = process_seconds() if is_process else 0.0
-    if name := empty_path(arguments):
-        parser.error(f"{name} is empty. Give a path.")
+    if name := empty_value(arguments):
+        parser.error(f"{name} is empty. Give a value, or leave it out.")
     return _run(commands[arguments.command], arguments, seen)
 
 

@@ -307,8 +307,8 @@ def training_text(result: "TrainResult") -> str:
         str(result.file),
         f"  style loss {result.loss:.3g} at timeCode {result.held_out:g}, {judged}; "
         f"{result.cold_iterations} iterations from noise reach {result.cold_loss:.3g}",
-        f"  {result.n_iterations} iterations on {name_time_codes(result.time_codes)}, "
-        f"{format_seconds(result.seconds)}",
+        f"  {count_text(result.n_iterations, 'iteration')} on "
+        f"{name_time_codes(result.time_codes)}, {format_seconds(result.seconds)}",
     ]
     if not result.suits:
         lines.append(

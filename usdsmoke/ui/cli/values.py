@@ -8,15 +8,26 @@ _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _DURATION = re.compile(r"(\d+(?:\.\d*)?)\s*(s|min|h|)")
 _LEAST = 1.0  # seconds
 _ARGUMENTS = {"stage": "STAGE", "file": "FILE", "output": "OUT"}  # without an option
-_PATHS = ("stage", "style", "output", "config", "overrides", "template", "file", "start")
+_NEVER_EMPTY = (
+    "stage",
+    "style",
+    "output",
+    "config",
+    "overrides",
+    "template",
+    "file",
+    "start",
+    "frames",
+    "prim",
+)
 
 
-def empty_path(arguments: argparse.Namespace) -> str | None:
-    """The option or argument of a path that is empty, as from a script whose variable is not set.
+def empty_value(arguments: argparse.Namespace) -> str | None:
+    """The option or argument that is empty, as from a script whose variable is not set.
 
-    An empty path would mean the current folder.
+    An empty path would mean the current folder, and empty frames all of them.
     """
-    for name in _PATHS:
+    for name in _NEVER_EMPTY:
         value = getattr(arguments, name, None)
         if value == "" or (isinstance(value, list) and "" in value):
             is_argument = name in ("stage", "file") or (
