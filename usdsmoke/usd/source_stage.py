@@ -6,6 +6,7 @@ OpenUSD expands no frame patterns, so that a sequence of files needs a layer wit
 import os
 import re
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -90,12 +91,7 @@ def write_source_stage(
     for name, grid in fields.items():
         _author_field(volume, name, grid, paths)
     _author_extent(volume, headers)
-
-    def write(path: Path) -> None:
-        path.touch()  # where this may not be done, the system says why; USD would not
-        layer.Export(str(path))
-
-    publish_file(target, write)
+    publish_file(target, partial(_write, layer))
     surfaces = tuple(
         name for name, grid in fields.items() if grid.grid_class == GRID_CLASSES["levelSet"]
     )
@@ -107,6 +103,11 @@ def write_source_stage(
     return SourceStage(
         target, str(volume.GetPath()), codes, tuple(fields), left_out, surfaces, densities
     )
+
+
+def _write(layer: Sdf.Layer, path: Path) -> None:
+    path.touch()  # where this may not be done, the system says why; USD would not
+    layer.Export(str(path))
 
 
 def find_sequence(pattern: str) -> dict[int | None, Path]:
