@@ -186,8 +186,8 @@ class _Painting:
 _Row = list[tuple[str, np.ndarray]]  # titles and pictures
 PAINTINGS = (
     _Painting("glow alone", {"optics.albedo": 0.0}),
-    _Painting("without the light", {}, knows_light=False),
-    _Painting("with it", {}),
+    _Painting("without the light", {"optics.albedo": 0.5}, knows_light=False),
+    _Painting("with it", {"optics.albedo": 0.5}),
     _Painting("albedo", {"colour.target": "albedo"}),
     _Painting("both", {"colour.target": "both"}),
 )
