@@ -65,7 +65,7 @@ __version__ = "0.2.0.dev0"
 
 # public name: module, name in it
 _HOME = {
-    "Config": ("base.settings", "Config"),
+    "Config": ("config.settings", "Config"),
     "UsdSmokeError": ("base.errors", "UsdSmokeError"),
     "inspect": ("usd.inspect", "inspect"),
     "plan": ("pipeline", "plan"),

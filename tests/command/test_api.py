@@ -19,6 +19,7 @@ FUNCTIONS = (
 
 def test_every_public_name_is_there_and_no_module_hides_one() -> None:
     assert set(FUNCTIONS) < set(usdsmoke.__all__)
+    assert all(getattr(usdsmoke, name) is not None for name in usdsmoke.__all__)
     for module in pkgutil.iter_modules(usdsmoke.__path__, "usdsmoke."):
         if module.name != "usdsmoke.__main__":
             importlib.import_module(module.name)  # which sets it as an attribute of the package
@@ -61,9 +62,7 @@ def test_previews_networks_and_reports_print_in_a_few_lines() -> None:
     files = (Path("a.exr"), Path("b.exr"))
     drawn = PreviewResult(files, (1.0, 2.0), 64, 32, "", (0.0, 0.0), {"/smoke": 1.0}, ("dim",))
     assert str(drawn).splitlines() == ["a.exr and 1 more: 64 x 32 pixels", "dim"]
-    network = TrainResult(
-        Path("net.safetensors"), "/smoke", (1.0,), 2.0, 0.25, 0.5, 8, 99, 1.0, True
-    )
+    network = TrainResult(Path("net.safetensors"), "/smoke", (1.0,), 2.0, 0.25, 0.5, 8, 99, 1.0)
     assert "net.safetensors" in str(network) and "1 frame," in str(network)
     assert "0.25" in str(network) and "0.5" in str(network) and "\n" not in str(network)
     page = ReportResult(Path("page.html"), (Path("page.html"),), Report("title", {}, (), (), ()))

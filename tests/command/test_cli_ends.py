@@ -57,7 +57,7 @@ def test_a_signal_while_modules_are_loaded_is_not_lost(shot: Shot, after_s: floa
     time.sleep(after_s)
     run.send_signal(signal.SIGTERM)
     out, err = run.communicate(timeout=60)
-    assert run.returncode == 143 and not out
+    assert run.returncode in (143, -signal.SIGTERM) and not out  # before Python runs: not ours
     assert "Traceback" not in err and "Error loading" not in err
 
 

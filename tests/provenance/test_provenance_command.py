@@ -172,6 +172,8 @@ def test_a_folder_without_its_layers_has_the_records_of_its_runs(
     assert [item.record.run for item in provenance(output)] == known
     (folder,) = (output / "vdb").iterdir()
     assert [item.record.run for item in provenance(folder)] == known
+    (lost,) = verify(output)  # the layer itself
+    assert lost.kind == "result-missing"
     (folder / "provenance.json").write_text("{")
     assert main(["verify", str(output)]) == 1
     assert "provenance.json" in capsys.readouterr().err

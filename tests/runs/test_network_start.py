@@ -63,7 +63,7 @@ def test_a_trained_network_paints_frames_and_is_in_the_record(
     named = [str(shot.stage), "--style", str(shot.style), "-o", str(network)]
     assert main(["train", *named, "--iterations", "60", *options, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["loss"] < told["cold_loss"] and told["n_iterations"] == 60 and told["suits"]
+    assert told["loss"] < told["cold_loss"] and told["n_iterations"] == 60
 
     result = run(shot, "out", optimize__start=str(network), optimize__iterations=0)
     assert not any("start cold" in warning for warning in result.warnings)
@@ -103,19 +103,15 @@ def test_a_training_tells_its_plan_and_writes_nothing_for_a_dry_run(
     assert not network.exists()
 
 
-def test_a_network_that_does_not_suit_is_written_and_told_by_the_exit_code(
+def test_a_network_that_does_not_suit_is_not_written(
     shot: Shot, capsys: pytest.CaptureFixture[str]
 ) -> None:
     network = shot.folder / "style.safetensors"
+    network.write_bytes(b"an old one")
     settings = [f"{name}={json.dumps(value)}" for name, value in QUICK.items()]
     named = [str(shot.stage), "--style", str(shot.style), "-o", str(network)]
     named += [part for setting in settings for part in ("--set", setting)]
     easy = ["--set", "features.layers=[learned0]"]  # for a few iterations from noise
-    assert main(["train", *named, *easy, "--iterations", "1", "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["loss"] > told["cold_loss"] and not told["suits"]
-    assert hash_file(network)
-    network.write_bytes(b"an old one")  # is not replaced by a worse one
     assert main(["train", *named, *easy, "--iterations", "1", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["error"]["type"] == "FeatureError"
     assert network.read_bytes() == b"an old one"

@@ -141,6 +141,16 @@ def test_a_stopped_run_goes_on_with_its_first_unfinished_window(shot: Shot, core
     assert len(shown_files(result.root_stage)) == 3
 
 
+def test_frames_of_unfinished_windows_count_as_finished_once(
+    tmp_path: Path, core: FakeCore
+) -> None:
+    shot = make_shot(tmp_path / "shot", n_frames=6)
+    stop_at(core, 6.0)
+    with pytest.raises(Interrupted, match=r"stopped with [2-5] of 6 frames finished"):
+        run(shot, "windows.size=4", "windows.overlap=2")
+    stop_no_more(core)
+
+
 def stopped_in_a_window(shot: Shot, core: FakeCore) -> Path:
     """Ctrl-C in the third of a window's four frames; its checkpoint."""
     stop_at(core, 3.0)

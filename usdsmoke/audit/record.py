@@ -3,7 +3,7 @@
 import os
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -42,6 +42,7 @@ class FoundRecord:
     layer: Sdf.Layer | None = None  # None where there is no look layer
     depth: int = 0  # composition arcs from the file that was asked for
     known: RunRecord | None = None  # where there is no look layer
+    lost_layer: Path | None = None  # the folder that should hold a look layer, and does not
 
     @cached_property
     def record(self) -> RunRecord:
@@ -107,7 +108,8 @@ def find_records(file: str | PathLike[str]) -> list[FoundRecord]:
     if path.is_dir():
         beside = [own] if (own := path / RECORD_FILE).is_file() else []  # the folder of a run
         runs = beside or find_run_files(path, RECORD_FILE)
-        found = _in_folder(path) or [_of_run(record) for record in runs]
+        lost = [replace(_of_run(record), lost_layer=path) for record in runs]
+        found = _in_folder(path) or lost
     elif path.suffix.lower() == ".vdb":
         found = _of_grids(path)
     elif path.name == RECORD_FILE:

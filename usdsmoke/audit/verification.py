@@ -75,6 +75,8 @@ def _check_is_unpacked(file: Path) -> None:
 
 
 def _check_layer(item: FoundRecord) -> Iterator[Change]:
+    if item.lost_layer is not None:
+        yield Change("result-missing", str(item.lost_layer), "a look layer", "none with a record")
     if item.layer is None:
         return
     file, values = str(item.file), record_values(item.layer)

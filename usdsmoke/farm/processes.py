@@ -149,7 +149,7 @@ class _Pool:
         """Stop all processes, and wait until they have tidied up."""
         for _, process in self._busy.values():
             if process.pid is not None and process.is_alive():
-                os.kill(process.pid, signal.SIGINT)
+                os.kill(process.pid, signal.SIGTERM)
         everyone = [*self._idle, *((item, process) for item, (_, process) in self._busy.items())]
         for connection, _ in everyone:
             connection.close()
@@ -162,14 +162,15 @@ class _Pool:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_work, args=(theirs, self._tasks), daemon=True)
-        # Ctrl-C waits while the process loads its modules. Python's own helper process comes first,
-        # as its start lets signals through again.
+        # A terminal's Ctrl-C goes to all processes, and this one stops the others: they do not take
+        # it, also while they load their modules. Python's own helper process comes first, as its
+        # start lets signals through again.
         resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             process.start()
         finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
         return ours, process
 
@@ -210,8 +211,8 @@ class _Pool:
 def _work(connection: Connection, tasks: Tasks) -> None:
     """The life of a process: windows come in, progress goes out, then None or an error."""
     try:
-        os.setpgid(0, 0)  # a terminal's Ctrl-C is for the run, which then stops its processes
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # see ``_Pool._start``
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
         while True:
             window, n_cpus = connection.recv()
             limit_cpus(n_cpus)

@@ -246,7 +246,7 @@ def _check_start(config: Config, fits: bool) -> None:
     if optimize.iterations == 0 and not optimize.paints:
         why = "optimize.start names no network to paint the smoke alone. Pass --start network"
         if optimize.start:
-            why = "a network paints colours alone. Add colour to optimize.steps"
+            why = "a network paints only colours. Add colour to optimize.steps"
         raise ConfigError(f"optimize.iterations is 0, but {why}, or give at least 1 iteration.")
 
 

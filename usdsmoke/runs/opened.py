@@ -101,7 +101,7 @@ class OpenRun:
         n_frames = sum(
             task in done or (self.run.folder / frame.file_name).is_file()
             for task in tasks
-            for frame in task.frames
+            for frame in task.frames[: len(task.window.time_codes)]  # without those of the overlap
         )
         more = " and a part of others" if self.run.has_checkpoints else ""
         return (

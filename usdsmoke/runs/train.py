@@ -60,7 +60,7 @@ class TrainPlan:
     time_codes: tuple[float, ...]  # of the frames to train on
     held_out: float  # timeCode of the frame to judge by
     n_iterations: int  # at most
-    seconds: float  # of all iterations
+    seconds: float  # of all iterations, and of loading torch
     memory_gib: float  # peak
 
 
@@ -77,7 +77,6 @@ class TrainResult:
     cold_iterations: int  # how many
     n_iterations: int  # of the training, that were done
     seconds: float
-    suits: bool  # False: frames would start from noise, as its loss is above ``cold_loss``
 
     def __str__(self) -> str:
         frames = count_text(len(self.time_codes), "frame")
@@ -132,8 +131,7 @@ def train(
     Args:
         stage, style, settings: as in ``usdsmoke.stylize``. What decides the pictures and their
             losses should be as in the runs that use the network.
-        output: the safetensors file to write. An old one is replaced, unless the new one does not
-            suit the smoke.
+        output: the safetensors file to write; an old one is replaced.
         iterations: at most; None takes ``N_ITERATIONS``. Training ends early when a frame that is
             held out no longer improves.
         progress: called after every iteration.
@@ -141,7 +139,7 @@ def train(
 
     Raises:
         ConfigError: ``output`` has another suffix.
-        FeatureError: the network does not suit the smoke, and there is an old file.
+        FeatureError: the network does not suit the smoke: frames would start from noise.
         PlanError: there is no smoke in any frame, or too little memory.
         UsdSmokeError: see ``usdsmoke.base.errors``; no file is written then.
         Interrupted: by Ctrl-C; likewise.
@@ -159,16 +157,16 @@ def train(
     except KeyboardInterrupt:
         raise Interrupted(f"stopped. {target} is unchanged.") from None
     trained = found.trained
-    if trained.misfit and target.exists():
+    if trained.misfit:
         raise FeatureError(
-            f"the network does not suit the smoke: {trained.misfit}. {target} stays as it was. "
-            "Train longer, or on fewer frames."
+            f"the network does not suit the smoke after {trained.n_iterations} iterations: "
+            f"{trained.misfit}. No file was written. Train longer (--iterations), or on fewer "
+            "frames (--frames)."
         )
     publish_file(target, _to_bytes(job, (volume, scene), found))
     return TrainResult(
         target, volume.source.prim_path, found.time_codes, found.held_out, trained.loss,
         trained.cold_loss, trained.n_cold, trained.n_iterations, time.monotonic() - started,
-        not trained.misfit,
     )  # fmt: skip
 
 
@@ -183,6 +181,8 @@ def _prepare(
     target = Path(output).absolute()
     if target.suffix != ".safetensors":
         raise ConfigError(f"a network is a .safetensors file, not {target.name}. Rename it.")
+    if target.is_dir():
+        raise WriteFailed(f"cannot write {target}: a folder has this name. Choose another name.")
     if not (target.parent.is_dir() and os.access(target.parent, os.W_OK)):
         raise WriteFailed(
             f"cannot write {target}: {target.parent} is no folder that may be written to. Create "

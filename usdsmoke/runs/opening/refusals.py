@@ -79,20 +79,23 @@ def _result_in_the_way(job: Job, known: Sequence[Run]) -> OutputExists:
     run = known[0]
     if changes := compare_run(job, run):
         return other_result(output, changes)
+    codes_of = {name: float(frame["time_code"]) for name, frame in run.frames.items()}
+    all_codes = format_time_codes(sorted(set(codes_of.values())))
     lost = [name for name in sorted(run.frames) if run.finished(name) is None]
     if lost:
         named = ", ".join(lost[:_MOST_NAMED])
         more = f" and {len(lost) - _MOST_NAMED} more" if len(lost) > _MOST_NAMED else ""
-        codes = format_time_codes(sorted({float(run.frames[name]["time_code"]) for name in lost}))
+        codes = format_time_codes(sorted({codes_of[name] for name in lost}))
         are = "is" if len(lost) == 1 else "are"
         repair = f"Repeat the run with --frames={codes} (the setting stage.frames)"
-        if len(lost) == len(run.frames):  # then it is no part that is asked for
+        if codes == all_codes:  # then it is no part that is asked for
             repair = f"Repeat the run with {FORCE}"
         return OutputExists(
             f"{named}{more} {are} missing or changed in {run.folder}. {repair} to repair the "
             "result."
         )
-    again = "redo some of its frames with stage.frames (--frames), " if len(run.frames) > 1 else ""
+    has_parts = len(set(codes_of.values())) > 1
+    again = "redo some of its frames with stage.frames (--frames), " if has_parts else ""
     return OutputExists(
         f"{output} already holds this result. Change its mode with 'usdsmoke assemble', {again}"
         f"{advice}"

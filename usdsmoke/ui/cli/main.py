@@ -1,9 +1,9 @@
 """The command ``usdsmoke``: arguments in, one call of the package, results out.
 
 Results go to stdout, progress and messages to stderr. Exit codes: 0 ok, 1 a named error (or, for
-``inspect``, ``validate``, ``verify`` and ``rerun``, a problem that was found, and for ``train`` a
-network that does not suit its smoke), 2 wrong usage, 128 + n when stopped by signal n: 130 after
-Ctrl-C, 143 after a polite kill, 141 when nobody reads stdout any more.
+``inspect``, ``validate``, ``verify`` and ``rerun``, a problem that was found), 2 wrong usage,
+128 + n when stopped by signal n: 130 after Ctrl-C, 143 after a polite kill, 141 when nobody reads
+stdout any more.
 
 With ``--json`` stdout holds exactly one JSON value, whatever happens: the result, or
 ``{"error": {"type": ..., "message": ...}}``.
@@ -19,6 +19,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
+from typing import Any
 
 from usdsmoke.base.errors import Interrupted, UsdSmokeError
 from usdsmoke.base.machine import (
@@ -46,13 +47,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     try:
         with _signals_as_exceptions() as seen:
+            code, is_told = 0, False
             try:
-                code = _main(words, argv is None, seen)
-                sys.stdout.flush()
-                return code
-            except KeyboardInterrupt as error:  # before or behind the command itself
-                _report(error, _plain_arguments(words))
-                return 128 + (seen[-1] if seen else signal.SIGINT)
+                code, is_told = _main(words, argv is None, seen), True
+            except KeyboardInterrupt as error:  # before the command itself
+                _report(error, argparse.Namespace(verbose=False, json="--json" in words))
+            sys.stdout.flush()
+            stopped = bool(seen) or not is_told
+            return 128 + (seen[-1] if seen else signal.SIGINT) if stopped else code
     except BrokenPipeError:
         # Whatever is flushed when the interpreter ends must not complain again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -69,7 +71,7 @@ def _main(words: Sequence[str], is_process: bool, seen: list[int]) -> int:
     try:
         check_packages("numpy", "yaml", "pydantic", "rich")  # which the imports below need
     except UsdSmokeError as error:
-        _report(error, _plain_arguments(words))
+        _report(error, argparse.Namespace(verbose=False, json="--json" in words))
         return 1
     from usdsmoke.ui.cli.arguments import build_parser
     from usdsmoke.ui.cli.values import empty_value
@@ -80,11 +82,6 @@ def _main(words: Sequence[str], is_process: bool, seen: list[int]) -> int:
     if name := empty_value(arguments):
         parser.error(f"{name} is empty. Give a value, or leave it out.")
     return _run(commands[arguments.command], arguments, seen)
-
-
-def _plain_arguments(words: Sequence[str]) -> argparse.Namespace:
-    """What a message needs to know of arguments that are not parsed."""
-    return argparse.Namespace(verbose=False, json="--json" in words)
 
 
 def _commands() -> dict[str, Callable[[argparse.Namespace], int]]:
@@ -134,34 +131,48 @@ def _run(
 def _signals_as_exceptions() -> Iterator[list[int]]:
     """SIGINT and SIGTERM end the work from inside, so that it can tidy up; yields those seen.
 
-    They wait while a module is loaded: USD loads its own from C++ and loses what is raised there.
+    The first one waits while a module is loaded: USD loads its own from C++ and loses what is
+    raised there.
     """
     seen: list[int] = []
+    before: dict[int, Any] = {}
+
+    def handle(number: int, handler: Any) -> None:
+        before[number] = signal.signal(number, handler)
 
     def stop(number: int, frame: FrameType | None) -> None:
-        if number != signal.SIGALRM:
-            seen.append(number)
+        seen.append(number)
+        if len(seen) == 1 and _is_importing(frame):
+            handle(signal.SIGALRM, again)
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            return
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        raise _Stopped
+
+    def again(number: int, frame: FrameType | None) -> None:
         if _is_importing(frame):
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
             return
         raise _Stopped
 
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
     try:
-        before = {number: signal.signal(number, stop) for number in numbers}
+        for number in (signal.SIGINT, signal.SIGTERM):
+            handle(number, stop)
     except ValueError:  # not the main thread: signals are somebody else's business
         yield seen
         return
     try:
         yield seen
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        if signal.SIGALRM in before:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        for which, handler in before.items():
+            signal.signal(which, signal.SIG_DFL if handler is None else handler)
 
 
 def _is_importing(frame: FrameType | None) -> bool:
-    while frame is not None:
+    """Whether a module is being loaded, by something that ``main`` has called."""
+    while frame is not None and frame.f_code is not main.__code__:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
             return True
         frame = frame.f_back

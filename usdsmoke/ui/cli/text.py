@@ -310,9 +310,4 @@ def training_text(result: "TrainResult") -> str:
         f"  {count_text(result.n_iterations, 'iteration')} on "
         f"{name_time_codes(result.time_codes)}, {format_seconds(result.seconds)}",
     ]
-    if not result.suits:
-        lines.append(
-            "  it does not suit this smoke: frames would start from noise instead. Train longer "
-            "(--iterations), or on fewer frames (--frames)."
-        )
     return "\n".join(lines)
