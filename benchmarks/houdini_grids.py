@@ -10,39 +10,13 @@ import argparse
 import time
 from pathlib import Path
 
-from PIL import Image
-
 import usdsmoke
+from benchmarks.plume_looks import join_pictures, stack_rows
 
-__all__ = ["join_pictures", "main", "stack_pictures"]
+__all__ = ["main"]
 
 PICTURE = Path("docs/pictures/houdini_grids.png")
 WIDTH = 1200  # pixels of the picture
-
-
-def join_pictures(file_paths: list[Path], width: int) -> Image.Image:
-    """The pictures beside each other, scaled to a common width of ``width`` pixels."""
-    pictures = [Image.open(file_path).convert("RGB") for file_path in file_paths]
-    joined = Image.new(
-        "RGB", (sum(p.width for p in pictures), max(p.height for p in pictures)), (24, 24, 26)
-    )
-    left = 0
-    for picture in pictures:
-        joined.paste(picture, (left, 0))
-        left += picture.width
-    return joined.resize((width, round(joined.height * width / joined.width)), Image.LANCZOS)
-
-
-def stack_pictures(file_paths: list[Path], width: int) -> Image.Image:
-    """The pictures below each other, each scaled to a width of ``width`` pixels."""
-    found = [Image.open(file_path).convert("RGB") for file_path in file_paths]
-    rows = [p.resize((width, round(p.height * width / p.width)), Image.LANCZOS) for p in found]
-    stack = Image.new("RGB", (width, sum(row.height for row in rows)))
-    top = 0
-    for row in rows:
-        stack.paste(row, (0, top))
-        top += row.height
-    return stack
 
 
 def main() -> None:
@@ -61,7 +35,8 @@ def main() -> None:
         settings=[f"grids.refine={arguments.refine}"],
         force=True,
     )
-    stack_pictures(sorted(result.contact_sheets), WIDTH).save(PICTURE)
+    rows = [join_pictures([sheet], WIDTH) for sheet in sorted(result.contact_sheets)]
+    stack_rows(rows).save(PICTURE)
     seconds = time.perf_counter() - began
     print(f"{len(result.frames)} grids in {seconds:.0f} s: {result.root_stage}, {PICTURE}")
 

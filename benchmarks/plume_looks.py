@@ -9,11 +9,33 @@ from pathlib import Path
 from PIL import Image, ImageSequence
 
 import usdsmoke
-from benchmarks.houdini_grids import join_pictures
 from benchmarks.stages import find_stages
 from usdsmoke.runs.assemble import StylizeResult
 
-__all__ = ["Comparison"]
+__all__ = ["Comparison", "join_pictures", "stack_rows"]
+
+
+def join_pictures(file_paths: Sequence[Path], width: int) -> Image.Image:
+    """The pictures beside each other, scaled to a common width of ``width`` pixels."""
+    pictures = [Image.open(file_path).convert("RGB") for file_path in file_paths]
+    joined = Image.new(
+        "RGB", (sum(p.width for p in pictures), max(p.height for p in pictures)), (24, 24, 26)
+    )
+    left = 0
+    for picture in pictures:
+        joined.paste(picture, (left, 0))
+        left += picture.width
+    return joined.resize((width, round(joined.height * width / joined.width)), Image.LANCZOS)
+
+
+def stack_rows(rows: Sequence[Image.Image]) -> Image.Image:
+    """Pictures of one width below each other."""
+    whole = Image.new("RGB", (rows[0].width, sum(row.height for row in rows)))
+    top = 0
+    for row in rows:
+        whole.paste(row, (0, top))
+        top += row.height
+    return whole
 
 
 @dataclass(frozen=True)
@@ -69,12 +91,7 @@ class Comparison:
                 pictures += self._sides(result.root_stage, given.out / f"{name}.webp")
             rows.append(join_pictures(pictures, self.width))
         if given.picture:
-            whole = Image.new("RGB", (self.width, sum(row.height for row in rows)))
-            top = 0
-            for row in rows:
-                whole.paste(row, (0, top))
-                top += row.height
-            whole.save(given.picture, quality=85, method=6)
+            stack_rows(rows).save(given.picture, quality=85, method=6)
             print(given.picture)
 
     def _sides(self, stage: Path, file_path: Path) -> list[Path]:

@@ -53,15 +53,18 @@ def run(shot: Shot, output: str, **more: object) -> StylizeResult:
     return stylize(shot.stage, shot.style, shot.folder / output, settings)
 
 
+def training(shot: Shot, network: Path) -> list[str]:
+    """The command that trains a network on the shot."""
+    settings = [f"--set={name}={json.dumps(value)}" for name, value in QUICK.items()]
+    return ["train", str(shot.stage), "--style", str(shot.style), "-o", str(network), *settings]
+
+
 def test_a_trained_network_paints_frames_and_is_in_the_record(
     shot: Shot, capsys: pytest.CaptureFixture[str]
 ) -> None:
     network = shot.folder / "nets/style.safetensors"
     network.parent.mkdir()
-    settings = [f"{name}={json.dumps(value)}" for name, value in QUICK.items()]
-    options = [part for setting in settings for part in ("--set", setting)]
-    named = [str(shot.stage), "--style", str(shot.style), "-o", str(network)]
-    assert main(["train", *named, "--iterations", "60", *options, "--json"]) == 0
+    assert main([*training(shot, network), "--iterations", "60", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["loss"] < told["cold_loss"] and told["n_iterations"] == 60
 
@@ -86,12 +89,9 @@ def test_a_training_tells_its_plan_and_writes_nothing_for_a_dry_run(
     shot: Shot, capsys: pytest.CaptureFixture[str]
 ) -> None:
     network = shot.folder / "style.safetensors"
-    settings = [f"{name}={json.dumps(value)}" for name, value in QUICK.items()]
-    named = [str(shot.stage), "--style", str(shot.style), "-o", str(network)]
-    named += [part for setting in settings for part in ("--set", setting)]
 
     def planned(*more: str) -> dict[str, object]:
-        assert main(["train", *named, *more, "--dry-run", "--json"]) == 0
+        assert main([*training(shot, network), *more, "--dry-run", "--json"]) == 0
         told: dict[str, object] = json.loads(capsys.readouterr().out)
         return told
 
@@ -108,11 +108,8 @@ def test_a_network_that_does_not_suit_is_not_written(
 ) -> None:
     network = shot.folder / "style.safetensors"
     network.write_bytes(b"an old one")
-    settings = [f"{name}={json.dumps(value)}" for name, value in QUICK.items()]
-    named = [str(shot.stage), "--style", str(shot.style), "-o", str(network)]
-    named += [part for setting in settings for part in ("--set", setting)]
     easy = ["--set", "features.layers=[learned0]"]  # for a few iterations from noise
-    assert main(["train", *named, *easy, "--iterations", "1", "--json"]) == 1
+    assert main([*training(shot, network), *easy, "--iterations", "1", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["error"]["type"] == "FeatureError"
     assert network.read_bytes() == b"an old one"
 

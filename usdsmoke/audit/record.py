@@ -106,10 +106,7 @@ def find_records(file: str | PathLike[str]) -> list[FoundRecord]:
     if not path.exists():
         raise FileUnreadable(f"there is no file or folder {path}. {what}")
     if path.is_dir():
-        beside = [own] if (own := path / RECORD_FILE).is_file() else []  # the folder of a run
-        runs = beside or find_run_files(path, RECORD_FILE)
-        lost = [replace(_of_run(record), lost_layer=path) for record in runs]
-        found = _in_folder(path) or lost
+        found = _in_folder(path) or _in_runs(path)
     elif path.suffix.lower() == ".vdb":
         found = _of_grids(path)
     elif path.name == RECORD_FILE:
@@ -129,6 +126,13 @@ def _in_folder(folder: Path) -> list[FoundRecord]:
         for path, layer in layers
         if layer is not None and record_values(layer)
     ]
+
+
+def _in_runs(folder: Path) -> list[FoundRecord]:
+    """What the runs of an output folder recorded, or one run in its own folder."""
+    own = folder / RECORD_FILE
+    records = [own] if own.is_file() else find_run_files(folder, RECORD_FILE)
+    return [replace(_of_run(record), lost_layer=folder) for record in records]
 
 
 def _of_run(path: Path) -> FoundRecord:

@@ -29,7 +29,6 @@ from usdsmoke.planning.estimate import (
     add_estimates,
     estimate_run,
     grid_size,
-    training_seconds,
     visible_voxels,
 )
 from usdsmoke.planning.frames import (
@@ -88,7 +87,7 @@ def make_plan(
         raise kind(f"{text}{others}")
     volumes = _with_places(volumes, volume_stems(paths), config)
     costs = [_estimate(v, v.frames, v.overlap_frames, v.coarse_frames) for v in volumes]
-    training = [training_seconds(v.sizes, v.config, len(v.styles)) for v in volumes]
+    training = [volume.training_seconds for volume in volumes]
     estimate = add_estimates(costs)
     return Plan(
         source=source,

@@ -11,7 +11,7 @@ from usdsmoke.base.time_codes import parse_frames, select_frames
 from usdsmoke.base.volume import FrameSource, StageSource, VolumeSource
 from usdsmoke.config.settings import Config
 from usdsmoke.planning.copied import CopiedGrid
-from usdsmoke.planning.estimate import CostEstimate, FrameSize
+from usdsmoke.planning.estimate import CostEstimate, FrameSize, training_seconds
 from usdsmoke.planning.frames import MaskSource, VelocitySource
 from usdsmoke.planning.windows import Window
 from usdsmoke.vdb.header import GridHeader
@@ -80,6 +80,11 @@ class VolumePlan:
     def sizes(self) -> list[FrameSize]:
         """Of the frames."""
         return [frame.size for frame in self.frames]
+
+    @property
+    def training_seconds(self) -> float:
+        """Of the network that its run trains; 0 where it trains none."""
+        return training_seconds(self.sizes, self.config, len(self.styles))
 
     @property
     def filled(self) -> list[FramePlan]:

@@ -97,9 +97,9 @@ class OpenRun:
         if self.run.is_useless():
             return "stopped before the first frame was finished. Nothing was left behind."
         tasks = self.plan.tasks
-        done = [task for task in tasks if self.run.window(task.number) is not None]
+        done = {task.number for task in tasks if self.run.window(task.number) is not None}
         n_frames = sum(
-            task in done or (self.run.folder / frame.file_name).is_file()
+            task.number in done or (self.run.folder / frame.file_name).is_file()
             for task in tasks
             for frame in task.frames[: len(task.window.time_codes)]  # without those of the overlap
         )

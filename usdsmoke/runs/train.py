@@ -5,7 +5,6 @@ what all windows share.
 """
 
 import dataclasses
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,10 +29,11 @@ from usdsmoke.config.run_sections import OWN_NETWORK
 from usdsmoke.core.generator.definition import N_ITERATIONS
 from usdsmoke.core.generator.weights import read_notes
 from usdsmoke.core.sequence.controls import network_alone
-from usdsmoke.planning.estimate import START, estimate_run, training_cost, training_seconds
+from usdsmoke.planning.estimate import START, estimate_run, training_cost
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.make_plan import check_plan
+from usdsmoke.planning.output_folder import check_writable
 from usdsmoke.planning.plan import FramePlan, VolumePlan, named_frames
 from usdsmoke.runs.coarse import measure_scenes, measured_frames
 from usdsmoke.runs.manifests import network_file_name
@@ -183,11 +183,9 @@ def _prepare(
         raise ConfigError(f"a network is a .safetensors file, not {target.name}. Rename it.")
     if target.is_dir():
         raise WriteFailed(f"cannot write {target}: a folder has this name. Choose another name.")
-    if not (target.parent.is_dir() and os.access(target.parent, os.W_OK)):
-        raise WriteFailed(
-            f"cannot write {target}: {target.parent} is no folder that may be written to. Create "
-            "it, or choose another one."
-        )
+    if not target.parent.is_dir():
+        raise WriteFailed(f"cannot write {target}: there is no such folder. Create it first.")
+    check_writable(target.parent)
     # the folder is not made; only the checks of a run's inputs are wanted
     request = Request(stage, style, target.with_name(f"{target.name}.run"), settings)
     job = prepare_job(request, fits=False)
@@ -231,8 +229,7 @@ def record_scenes(opened: OpenRun, tell: RunProgressCallback) -> RunProgressCall
     if not any(volume.config.optimize.trains for volume in plan.volumes):
         run.keep_scenes(_find_scenes(opened, tell))
         return tell
-    costs = [training_seconds(v.sizes, v.config, len(v.styles)) for v in plan.volumes]
-    part = sum(costs) / plan.estimate.seconds
+    part = sum(volume.training_seconds for volume in plan.volumes) / plan.estimate.seconds
     with run.claim():
         run.adopt()
         if not run.scenes:

@@ -57,6 +57,7 @@ class Replay:
         with torch.cuda.device(device):
             recorder, here = _recorder_of(device), torch.cuda.current_stream()
             recorder.stream.wait_stream(here)
+            # an old recording must not be freed during a new one
             with torch.cuda.stream(recorder.stream), no_garbage_collection():
                 for _ in range(WARM_UP):
                     evaluate()

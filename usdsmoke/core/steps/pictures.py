@@ -48,8 +48,7 @@ class ViewPool(Generic[AnyView]):
 
     def prepare(self, n_iterations: int) -> None:
         """Make the views that so many iterations draw, shared among threads."""
-        if isinstance(self.views, LazyList):
-            self.views.prepare(self._drawn(n_iterations))
+        self._make(self._drawn(n_iterations))
 
     def drawn(self, n_iterations: int) -> list[AnyView]:
         """The views that so many iterations have drawn, each once."""
@@ -59,6 +58,10 @@ class ViewPool(Generic[AnyView]):
         """Those of ``drawn`` from where the result is looked at."""
         numbers = self._drawn(n_iterations)
         return [self.views[n] for n in numbers if self.n_front is None or n < self.n_front]
+
+    def _make(self, numbers: Sequence[int]) -> None:
+        if isinstance(self.views, LazyList):
+            self.views.prepare(numbers)
 
     def _drawn(self, n_iterations: int) -> list[int]:
         n, seen = min(self.n_drawn, len(self.views)), set[int]()
@@ -75,8 +78,7 @@ class ViewPool(Generic[AnyView]):
         """
         n = min(self.n_drawn, len(self.views))  # the same view twice adds nothing
         drawn = draw_views(iteration, n, len(self.views), self.seed)
-        if isinstance(self.views, LazyList):
-            self.views.prepare(drawn)
+        self._make(drawn)
         return accumulate(shared, [partial(loss, self.views[number]) for number in drawn]) / n
 
 

@@ -148,9 +148,7 @@ def find_frame(name: str, report: FrameReport, config: Config) -> Iterator[Findi
             yield _vanished(name, gone, config)
     if report.temporal is None:  # a warm frame starts where its neighbour ended
         yield from _find_way(name, report, config)
-    optics, target = config.optics, config.colour.target
-    is_asked = optics.albedo is not None or optics.names_lights or target != "emission"
-    yield from find_light(name, report, is_asked)
+    yield from find_light(name, report, config)
     yield from find_look(name, report, config)
     yield from find_sight(name, report)
     if report.velocity_doubt:

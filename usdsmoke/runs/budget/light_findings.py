@@ -6,6 +6,7 @@ from typing import Any
 
 from usdsmoke.base.frame_report import DIM, FrameReport
 from usdsmoke.config.look_sections import MOST_STOPS, OpticsConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.core.views.column_depths import MUCH
 from usdsmoke.planning.plan import VolumePlan
 from usdsmoke.runs.budget.finding import Finding
@@ -212,15 +213,13 @@ def _find_sides(
         )
 
 
-def find_light(name: str, report: FrameReport, is_asked: bool) -> Iterator[Finding]:
-    """Whether lit smoke vanishes or clips.
-
-    Args:
-        is_asked: settings ask for scattered light; light that no one asks for may be invisible.
-    """
-    light = report.light
+def find_light(name: str, report: FrameReport, config: Config) -> Iterator[Finding]:
+    """Whether lit smoke vanishes or clips; light that no setting asks for may be invisible."""
+    light, optics = report.light, config.optics
     if light is None:
         return
+    is_glowing = config.colour.target == "emission"
+    is_asked = optics.albedo is not None or optics.names_lights or not is_glowing
     advice, setting = "Change the brightness of the lights", "optics.exposure"
     if light.advised is not None:
         advice = f"Set optics.exposure={light.advised:g} and the shot's exposure with it"

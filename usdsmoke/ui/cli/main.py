@@ -47,14 +47,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     try:
         with _signals_as_exceptions() as seen:
-            code, is_told = 0, False
             try:
-                code, is_told = _main(words, argv is None, seen), True
-            except KeyboardInterrupt as error:  # before the command itself
+                code = _main(words, argv is None, seen)
+            except (UsdSmokeError, KeyboardInterrupt) as error:  # before the command itself
                 _report(error, argparse.Namespace(verbose=False, json="--json" in words))
+                code = _stopped(seen) if isinstance(error, KeyboardInterrupt) else 1
             sys.stdout.flush()
-            stopped = bool(seen) or not is_told
-            return 128 + (seen[-1] if seen else signal.SIGINT) if stopped else code
+            return _stopped(seen) if seen else code
     except BrokenPipeError:
         # Whatever is flushed when the interpreter ends must not complain again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -68,11 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _main(words: Sequence[str], is_process: bool, seen: list[int]) -> int:
     prepare_numpy_environment()
-    try:
-        check_packages("numpy", "yaml", "pydantic", "rich")  # which the imports below need
-    except UsdSmokeError as error:
-        _report(error, argparse.Namespace(verbose=False, json="--json" in words))
-        return 1
+    check_packages("numpy", "yaml", "pydantic", "rich")  # which the imports below need
     from usdsmoke.ui.cli.arguments import build_parser
     from usdsmoke.ui.cli.values import empty_value
 
@@ -117,7 +112,7 @@ def _run(
     except (UsdSmokeError, KeyboardInterrupt, MemoryError) as error:
         _report(error, arguments)
         stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
-        return 128 + (seen[-1] if seen else signal.SIGINT) if stopped else 1
+        return _stopped(seen) if stopped else 1
     except ModuleNotFoundError as error:
         is_ours = (error.name or "").startswith("usdsmoke")
         _report(error if is_ours else missing_package(error.name), arguments)
@@ -125,6 +120,11 @@ def _run(
     except Exception as error:
         _report(error, arguments)
         return 1
+
+
+def _stopped(seen: Sequence[int]) -> int:
+    """The exit code behind signals; of Ctrl-C, where a program has raised it itself."""
+    return 128 + (seen[-1] if seen else signal.SIGINT)
 
 
 @contextmanager
