@@ -2,6 +2,7 @@
 
 import dataclasses
 import random
+import re
 import threading
 from collections import Counter
 from pathlib import Path
@@ -28,7 +29,7 @@ from usdsmoke.base.errors import Interrupted, LayerError, NonFiniteError, Output
 from usdsmoke.base.volume import DenseField
 from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.core.smoke.device import Machine
-from usdsmoke.pipeline import stylize
+from usdsmoke.pipeline import assemble, stylize
 from usdsmoke.planning.job import Job
 from usdsmoke.runs import identity
 from usdsmoke.runs.budget import Finding
@@ -149,6 +150,27 @@ def test_frames_of_unfinished_windows_count_as_finished_once(
     with pytest.raises(Interrupted, match=r"stopped with [2-5] of 6 frames finished"):
         run(shot, "windows.size=4", "windows.overlap=2")
     stop_no_more(core)
+
+
+def test_a_damaged_record_of_a_run_is_named_and_replaced_with_force(
+    shot: Shot, core: FakeCore
+) -> None:
+    stop_at(core, 2)
+    with pytest.raises(Interrupted):
+        run(shot)
+    (record,) = shot.output.glob("vdb/*/run.json")
+    record.write_text("{", encoding="utf-8")
+    before = file_hashes(shot.output)
+    with pytest.raises(LayerError, match=re.escape(str(record))):
+        assemble(shot.output)
+    with pytest.raises(OutputExists, match=re.escape(str(record))):
+        run(shot)
+    assert file_hashes(shot.output) == before
+    stop_no_more(core)
+    result = run(shot, force=True)
+    assert len(core.stylized) == 3
+    assert [path.name for path in shot.output.glob("vdb/*")] == [result.frames[0].parent.name]
+    assert not record.exists()
 
 
 def stopped_in_a_window(shot: Shot, core: FakeCore) -> Path:

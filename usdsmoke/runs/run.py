@@ -166,6 +166,8 @@ class Run:
                     above = [f for f in (self.output / name).parents if self.output in f.parents]
                     remove_empty(above)
                 run.remove()
+        for record_path in self.damaged():
+            shutil.rmtree(record_path.parent, ignore_errors=True)
         for folder in {(self.output / name).parent for name in self.files}:
             remove_leftovers(folder, of=self.files)
         self.tidy(alone)
@@ -175,6 +177,12 @@ class Run:
             (self.folder / _SCENES).unlink()
         self.complete = True
         self.save()
+
+    def damaged(self) -> list[Path]:
+        """Records of the same settings and inputs, and so of this look, that cannot be read."""
+        key = self.folder.name.partition("-")[0]
+        paths = damaged_records(self.output)
+        return [path for path in paths if path.parent.name.partition("-")[0] == key]
 
     def remove(self) -> None:
         """Remove the whole run: the record first, so that half of it cannot pass for a run."""
@@ -296,14 +304,25 @@ class Run:
 def find_runs(output: Path) -> Iterator[Run]:
     """The runs that left a record in an output folder, finished or not, in the order of names."""
     for record_path in find_run_files(output):
-        try:
-            record = _read_json(record_path)
-            known = {name: record[name] for name in _record_names() if name in record}
-            run = Run(folder=record_path.parent, **{"run_id": record["run_id"], **known})
-            run.scenes = run.scenes or _read_scenes(run.folder, run.run_id)
+        if run := _read_run(record_path):
             yield run
-        except (OSError, ValueError, TypeError, KeyError, AttributeError):
-            continue  # not a record of ours
+
+
+def damaged_records(output: Path) -> list[Path]:
+    """The records of runs in an output folder that cannot be read, in the order of names."""
+    return [path for path in find_run_files(output) if _read_run(path) is None]
+
+
+def _read_run(record_path: Path) -> Run | None:
+    """The run that left a record; None for what is no record of ours."""
+    try:
+        record = _read_json(record_path)
+        known = {name: record[name] for name in _record_names() if name in record}
+        run = Run(folder=record_path.parent, **{"run_id": record["run_id"], **known})
+        run.scenes = run.scenes or _read_scenes(run.folder, run.run_id)
+        return run
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
 
 
 def new_run(

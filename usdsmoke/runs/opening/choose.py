@@ -24,11 +24,12 @@ from usdsmoke.runs.opening.refusals import (
     FORCE,
     find_results,
     other_result,
+    refuse_damaged,
     refuse_result,
     unfinished_in_the_way,
 )
 from usdsmoke.runs.progress import WAITING, RunProgressCallback
-from usdsmoke.runs.run import Run, find_runs, new_run
+from usdsmoke.runs.run import Run, damaged_records, find_runs, new_run
 from usdsmoke.runs.run_machine import with_settled
 from usdsmoke.usd.look import published_runs
 
@@ -249,6 +250,10 @@ def open_run_to_assemble(
 def _run_to_assemble(output: Path, look: str | None) -> Run:
     runs = [run for run in find_runs(output) if look in (None, run.look)]
     unfinished = [run for run in runs if not run.complete]
+    if not runs and (damaged := damaged_records(output)):
+        raise LayerError(
+            f"{damaged[0]} is damaged. Remove the folder that it is in, and start the run again."
+        )
     if not runs:
         named = f" of the look {look}" if look else ""
         raise LayerError(
@@ -300,7 +305,8 @@ def _choose_run(
         accepted: see ``open_run``.
 
     Raises:
-        OutputExists: there is a result or an unfinished run of other settings, without ``force``.
+        OutputExists: there is a result, an unfinished run of other settings, or a damaged record of
+            this run, without ``force``.
         LayerError: see ``check_delivery``.
     """
     output, force = job.output, job.request.force
@@ -320,5 +326,8 @@ def _choose_run(
             return run
     if growth is not None:  # the machine stays the same too
         return new_run(output, identity.beside(growth.earlier), identity.stamps)
-    accepted()
-    return new_run(output, identity.alone(), identity.stamps)
+    accepted()  # the machine is looked at meanwhile
+    run = new_run(output, identity.alone(), identity.stamps)
+    if not force:
+        refuse_damaged(run)
+    return run

@@ -4,6 +4,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from usdsmoke.base.errors import OutputExists
+from usdsmoke.base.naming import RUNS_FOLDER
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.job import Job
 from usdsmoke.runs.changes import Changes
@@ -51,6 +52,19 @@ def refuse_result(job: Job, identity: Identity, growth: Growth | None) -> None:
         raise _result_in_the_way(job, known)
 
 
+def refuse_damaged(run: Run) -> None:
+    """Refuse to begin a run beside a folder of the same run whose record cannot be read.
+
+    Raises:
+        OutputExists: there is such a folder.
+    """
+    if damaged := run.damaged():
+        raise OutputExists(
+            f"{damaged[0]}, the record of this run, is damaged, so the run cannot be continued. "
+            f"Remove the folder that it is in, or begin again with {FORCE}."
+        )
+
+
 def find_results(job: Job) -> tuple[Collection[str], dict[str, Run], set[str]]:
     """Ids of published runs, the runs of the job's look by id, and ids of finished results."""
     published = published_runs(job.targets.look_layer)
@@ -75,7 +89,10 @@ def _result_in_the_way(job: Job, known: Sequence[Run]) -> OutputExists:
     output = job.output
     advice = f"choose another output folder or look, or replace it with {FORCE}."
     if not known:
-        return OutputExists(f"{output} already holds a result. {advice[0].upper()}{advice[1:]}")
+        return OutputExists(
+            f"{output} already holds a result, and the record of its run in {output / RUNS_FOLDER} "
+            f"is missing or damaged. {advice[0].upper()}{advice[1:]}"
+        )
     run = known[0]
     if changes := compare_run(job, run):
         return other_result(output, changes)
