@@ -1,6 +1,6 @@
 """Files of a result that were lost, replaced or changed are found, with and without their layer."""
 
-from pxr import Usd
+from pxr import Sdf, Usd
 
 from tests.fixtures.usd_fixtures import (
     dense_field,
@@ -54,6 +54,31 @@ def test_values_that_no_longer_fit_the_stored_hash_are_found_with_and_without_th
     bare = flat.read_text().replace("usdsmoke = {", "other = {")
     write_text(flat, bare)
     assert "GridHashMismatch" in {item.rule for item in ours(flat)}
+
+
+def test_a_layer_over_the_look_that_shows_other_files_is_found(tmp_path):
+    stage_file = plume_stage(tmp_path)
+    files = make_look(stage_file, tmp_path / "out", frames="1-2", ours=True)
+    root = Sdf.Layer.FindOrOpen(str(files.root_stage))
+    look, source = root.subLayerPaths
+    root.subLayerPaths = [source, look]
+    assert root.Save()
+    (found,) = (item for item in ours(files.root_stage) if item.rule == "LookOverridden")
+    assert (found.severity, found.prim_path) == (Severity.ERROR, "/World/smoke/density")
+    assert stage_file.name in found.message and files.look_layer.name in found.message
+
+
+def test_a_layer_over_the_look_may_name_its_files_at_another_place(tmp_path):
+    files = make_look(plume_stage(tmp_path, [1]), tmp_path / "out", ours=True)
+    published = tmp_path / "published"
+    (tmp_path / "out/vdb").rename(published)
+    stage = Usd.Stage.Open(str(files.root_stage))
+    for name in ("density", "emission"):
+        attribute = stage.GetPrimAtPath(f"/World/smoke/{name}").GetAttribute("filePath")
+        attribute.Set(str(published / "smoke.0001.vdb"), 1)
+    assert "LookOverridden" not in {item.rule for item in ours(files.root_stage)}
+    stage.GetRootLayer().Save()
+    assert "LookOverridden" not in {item.rule for item in ours(files.root_stage)}
 
 
 def test_a_shader_of_a_renderer_that_is_not_installed_is_a_warning(tmp_path):

@@ -11,6 +11,7 @@ from pxr import Ar, Gf, Sdf, Usd
 from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageError
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.config.run_sections import GridsConfig
+from usdsmoke.usd.field_samples import field_targets
 from usdsmoke.usd.layer_record import LAYER_HASH, layer_digest, read_record, record_values
 from usdsmoke.usd.rules.facts import Problem, Severity, collect_fields, grouped
 from usdsmoke.usd.rules.staleness import rewritten_sources, switched_variants
@@ -136,6 +137,37 @@ def check_stale(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
             for is_same, text in found
         ]
     return problems
+
+
+def check_look_strongest(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
+    """The files that a look gives to the fields of a Volume are not replaced by a stronger layer.
+
+    A stronger layer may name files of usdsmoke, such as the same ones at another place.
+    """
+    problems = []
+    for path in sorted({p for targets in field_targets(volume).values() for p in targets}):
+        prim = volume.GetStage().GetPrimAtPath(path)
+        stack = prim.GetAttribute("filePath").GetPropertyStack() if prim else []
+        looks = [spec for spec in stack if record_values(spec.layer)]
+        if not looks or stack[0] in looks:
+            continue
+        if any(map(_promised, _files(stack[0]))):
+            continue
+        stronger, look = (spec.layer.GetDisplayName() for spec in (stack[0], looks[0]))
+        text = (
+            f"{stronger} is stronger than the look layer {look} and sets filePath too, so the "
+            "files of the look are not shown. Put the look layer before it in subLayers, or remove "
+            "that opinion."
+        )
+        problems.append(Problem(Severity.ERROR, str(path), text))
+    return problems
+
+
+def _files(file_path: Sdf.AttributeSpec) -> list[str]:
+    """Absolute paths of the files that a spec of ``filePath`` shows at any time."""
+    values = [file_path.default, *(file_path.GetInfo("timeSamples") or {}).values()]
+    paths = [value.path for value in values if isinstance(value, Sdf.AssetPath) and value.path]
+    return [Sdf.ComputeAssetPathRelativeToLayer(file_path.layer, path) for path in paths]
 
 
 def _selected_variant(volume: Usd.Prim, spec_path: Sdf.Path, name: str) -> str | None:

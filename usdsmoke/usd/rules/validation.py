@@ -65,6 +65,10 @@ _VOLUME_RULES: dict[str, tuple[PrimRule, str]] = {
         volume_rules.check_look_seen,
         "The material of a Volume with a look reads the look's colours.",
     ),
+    "LookOverridden": (
+        result_rules.check_look_strongest,
+        "The files of a look are not replaced by a stronger layer.",
+    ),
     "LookUnits": (
         volume_rules.check_look_units,
         "A look is referenced in the units that it was made for.",
