@@ -172,6 +172,11 @@ def test_a_folder_without_its_layers_has_the_records_of_its_runs(
     known = [item.record.run for item in provenance(output)]
     (folder / "provenance.json").write_text(record)
     for layer in output.glob("*.usd*"):
+        layer.write_text(layer.read_text() + "}")
+    assert [item.record.run for item in provenance(output)] == known
+    (damaged,) = verify(output)
+    assert damaged.kind == "result-missing" and "look.usda" in damaged.found
+    for layer in output.glob("*.usd*"):
         layer.unlink()
     assert [item.record.run for item in provenance(output)] == known
     assert [item.record.run for item in provenance(folder)] == known

@@ -13,10 +13,18 @@ from pathlib import Path
 from usdsmoke import __version__
 from usdsmoke.audit.inputs import Change, check_inputs, recorded_config, shown
 from usdsmoke.audit.record import FoundRecord, find_records
-from usdsmoke.base.errors import BindingMissing, ConfigError, LayerError, UsdSmokeError
+from usdsmoke.base.errors import (
+    BindingMissing,
+    ConfigError,
+    LayerError,
+    StageError,
+    UsdSmokeError,
+)
 from usdsmoke.base.machine import package_versions, platform_name
+from usdsmoke.base.naming import find_look_layers
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.config.run_sections import GridsConfig
+from usdsmoke.usd.diagnostics import open_quietly
 from usdsmoke.usd.layer_record import (
     LAYER_HASH,
     RECORD_HASH,
@@ -76,7 +84,9 @@ def _check_is_unpacked(file: Path) -> None:
 
 def _check_layer(item: FoundRecord) -> Iterator[Change]:
     if item.lost_layer is not None:
-        yield Change("result-missing", str(item.lost_layer), "a look layer", "none with a record")
+        yield Change(
+            "result-missing", str(item.lost_layer), "a look layer", _why_lost(item.lost_layer)
+        )
     if item.layer is None:
         return
     file, values = str(item.file), record_values(item.layer)
@@ -90,6 +100,16 @@ def _check_layer(item: FoundRecord) -> Iterator[Change]:
     if found != values.get(RECORD_HASH):
         recorded = shown(values.get(RECORD_HASH, ""))
         yield Change("record-edited", file, f"record {recorded}", shown(found))
+
+
+def _why_lost(folder: Path) -> str:
+    """Why no look layer of a folder tells its record."""
+    for layer_path in find_look_layers(folder):
+        try:
+            open_quietly(str(layer_path))
+        except StageError as error:
+            return f"none that can be read: {error}"
+    return "none with a record"
 
 
 def _check_shaders(item: FoundRecord) -> Iterator[Change]:

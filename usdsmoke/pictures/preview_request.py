@@ -71,10 +71,10 @@ class PreviewRequest:
         target = Path(self.output).absolute()
         object.__setattr__(self, "output", target)
         if target.suffix.lower() not in _SUFFIXES:
-            found = f"be a {target.suffix} file" if target.suffix else "have no suffix"
+            found = f"cannot be a {target.suffix} file" if target.suffix else "needs a suffix"
             raise ConfigError(
-                f"a preview cannot {found} ({target.name}). Use .png for a picture, .webp, .gif "
-                "or .mp4 for an animation, or .exr for scene-linear layers."
+                f"a preview {found} ({target.name}). Use .png for a picture, .webp, .gif or .mp4 "
+                "for an animation, or .exr for scene-linear layers."
             )
         if target.suffix.lower() == ".mp4":
             check_packages("av")

@@ -92,4 +92,4 @@ def _is_volume(stage: Usd.Stage, path: str) -> bool:
 
 def _find(stage: Usd.Stage, config: StageConfig, problems: list[str] | None = None) -> StageSource:
     """Ignores the Volumes' requests: an invalid request hides no smoke."""
-    return find_volumes(stage, config, with_requests=False, problems=problems)
+    return find_volumes(stage, config, with_requests=False, problems=problems, with_instances=True)

@@ -121,9 +121,8 @@ def find_sequence(pattern: str) -> dict[int | None, Path]:
     marks = FRAME_PATTERN.findall(place.name)
     if not marks:
         if not place.is_file():
-            raise AssetNotResolved(
-                f"there is no file {pattern}. For a sequence write plume.####.vdb, quoted."
-            )
+            what = f"{pattern} is a folder" if place.is_dir() else f"there is no file {pattern}"
+            raise AssetNotResolved(f"{what}. For a sequence write plume.####.vdb, quoted.")
         return {None: place}
     if len(marks) > 1:
         raise ConfigError(f"{place.name} has {len(marks)} frame numbers. Keep one, such as ####.")

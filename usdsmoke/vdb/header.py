@@ -62,6 +62,8 @@ class ByteReader:
     def take(self, count: int, what: str) -> bytes:
         """The next bytes."""
         left = self._size - self.position
+        if count > left and self.position == 0:
+            raise self.damage(f"it has only {left} bytes")
         if count > left:
             raise self.damage(
                 f"{what} takes {count} bytes from byte {self.position}, but the file has "

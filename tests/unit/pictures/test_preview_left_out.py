@@ -137,3 +137,19 @@ def test_pictures_that_would_be_blank_because_of_damage_are_refused(tmp_path: Pa
         with pytest.raises(DamagedFile):
             preview(stage, tmp_path / name, width=16, turntable=turn)
         assert not (tmp_path / name).exists()
+
+
+def test_volumes_inside_instances_are_drawn(tmp_path: Path) -> None:
+    write_sequence(tmp_path, (1,))
+    asset = world(volume_prim(density_prim(sequence((1,)))))
+    write_text(tmp_path / "asset.usda", asset)
+    place = "prepend references = @./asset.usda@</World>\n instanceable = {}"
+    drawn = {}
+    for is_instance in ("true", "false"):
+        arcs = place.format(is_instance)
+        stage = f'#usda 1.0\ndef Xform "A" ({arcs})\n{{\n}}\ndef Xform "B" ({arcs})\n{{\n}}\n'
+        target = tmp_path / f"{is_instance}.png"
+        found = preview(write_text(tmp_path / f"{is_instance}.usda", stage), target, width=16)
+        drawn[is_instance] = (set(found.extinctions), target.read_bytes())
+    assert drawn["true"] == drawn["false"]
+    assert drawn["true"][0] == {"/A/smoke", "/B/smoke"}

@@ -30,7 +30,7 @@ def look(tmp_path: Path) -> Path:
     ("options", "message"),
     [
         ({"output": "a.tif"}, r"\.tif.*\.png.*\.exr"),
-        ({"output": "a"}, "no suffix"),
+        ({"output": "a"}, r"suffix.*\.png"),
         ({"background": "white"}, "white.*grey, black, none"),
         ({"width": 0}, "--width is 0"),
         ({"width": 10, "size": (3, 4)}, "--width and --size"),

@@ -11,13 +11,19 @@ from usdsmoke.usd.stage.originals import is_look_layer
 from usdsmoke.usd.values import ancestors, value_at
 
 
-def choose_volumes(stage: Usd.Stage, named: Sequence[str]) -> tuple[list[Usd.Prim], dict[str, str]]:
-    """The Volumes to take, and why others are left out."""
+def choose_volumes(
+    stage: Usd.Stage, named: Sequence[str], with_instances: bool = False
+) -> tuple[list[Usd.Prim], dict[str, str]]:
+    """The Volumes to take, and why others are left out.
+
+    Args:
+        with_instances: whether those inside instances are taken: they can be drawn, not changed.
+    """
     predicate = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
     there = [prim for prim in Usd.PrimRange.Stage(stage, predicate) if prim.IsA(UsdVol.Volume)]
     if named:
-        return _named_volumes(stage, named, there)
-    reasons = {prim: _why_not_chosen(prim) for prim in there}
+        return _named_volumes(stage, named, there, with_instances)
+    reasons = {prim: _why_not_chosen(prim, with_instances) for prim in there}
     volumes = [prim for prim, reason in reasons.items() if not reason]
     omitted = {str(prim.GetPath()): reason for prim, reason in reasons.items() if reason}
     if volumes:
@@ -42,9 +48,9 @@ def hidden_volumes(stage: Usd.Stage) -> dict[str, str]:
     return {str(prim.GetPath()): why for prim in prims if (why := _why_not_chosen(prim))}
 
 
-def _why_not_chosen(prim: Usd.Prim) -> str:
+def _why_not_chosen(prim: Usd.Prim, with_instances: bool = False) -> str:
     """Why a Volume is left out unless it is named; "" where it is not."""
-    if prim.IsInstanceProxy():
+    if prim.IsInstanceProxy() and not with_instances:
         return describe_instance(prim)
     shown = UsdGeom.Imageable(prim)
     purpose = shown.ComputePurpose()
@@ -77,7 +83,7 @@ def _composition_hint(stage: Usd.Stage) -> str:
 
 
 def _named_volumes(
-    stage: Usd.Stage, paths: Sequence[str], there: Sequence[Usd.Prim]
+    stage: Usd.Stage, paths: Sequence[str], there: Sequence[Usd.Prim], with_instances: bool
 ) -> tuple[list[Usd.Prim], dict[str, str]]:
     """Named Volumes, and the shown ones below other prims that are named; why others are not."""
     found, omitted = dict[Sdf.Path, Usd.Prim](), dict[str, str]()
@@ -86,7 +92,7 @@ def _named_volumes(
         advice = f"Use one of its Volumes: {listed}."
         prim = named_prim(stage, path, "/World/smoke", advice, VolumeNotFound)
         if prim.IsA(UsdVol.Volume):
-            if prim.IsInstanceProxy():
+            if prim.IsInstanceProxy() and not with_instances:
                 raise StageError(f"cannot use Volume <{path}>: {describe_instance(prim)}")
             found[prim.GetPath()] = prim
             continue
@@ -95,7 +101,7 @@ def _named_volumes(
             raise VolumeNotFound(
                 f"<{path}> {type_words(prim)}, not a Volume, and has none below it. {advice}"
             )
-        reasons = {item: _why_not_chosen(item) for item in below}
+        reasons = {item: _why_not_chosen(item, with_instances) for item in below}
         found |= {item.GetPath(): item for item, reason in reasons.items() if not reason}
         omitted |= {str(item.GetPath()): reason for item, reason in reasons.items() if reason}
     omitted = {path: reason for path, reason in omitted.items() if Sdf.Path(path) not in found}

@@ -73,7 +73,7 @@ def find_fields(
     Raises:
         FieldNotFound: no relationship of the density's name, or the density's or the mask's leads
             to no OpenVDBAsset.
-        StageError: the density's field prim is an instance proxy.
+        StageError: the density's field prim is an instance proxy, and the Volume is not.
     """
     relationships = field_targets(volume)
     if mask == MASK:
@@ -131,7 +131,7 @@ def _beside_root(layer: Sdf.Layer, prim: Usd.Prim) -> str:
 
 def _density_prim(volume: Usd.Prim, density: str, targets: list[Sdf.Path]) -> Usd.Prim:
     prim = _required_prim(volume, density, targets)
-    if prim.IsInstanceProxy():
+    if prim.IsInstanceProxy() and not volume.IsInstanceProxy():
         raise StageError(
             f"cannot change the field <{prim.GetPath()}> of the {_where(volume, density)}: "
             f"{describe_instance(prim)}"

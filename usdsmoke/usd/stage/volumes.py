@@ -82,6 +82,7 @@ def find_volumes(
     with_styles: bool = True,
     problems: list[str] | None = None,
     copied: Sequence[str] = (),
+    with_instances: bool = False,
 ) -> StageSource:
     """The Volumes to stylize, with every selected timeCode of their density, velocity and mask.
 
@@ -94,6 +95,7 @@ def find_volumes(
         problems: gets a sentence for each Volume, field or timeCode that cannot be used and is left
             out; None raises an error instead.
         copied: ``layer.copy_fields``.
+        with_instances: whether Volumes inside instances are taken: they can be drawn, not changed.
 
     Raises:
         ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
@@ -101,12 +103,13 @@ def find_volumes(
         FieldNotFound: the density's relationship or its field prim is missing, or the mask's
             relationship leads to no field prim.
         AssetNotResolved: a selected file cannot be read from disk, or the mask has none.
-        StageError: a rate or unit of the stage is not positive, a Volume is an instance proxy, or a
-            timeCode is asked for that does not exist and ``allow_missing`` is off.
+        StageError: a rate or unit of the stage is not positive, a Volume is an instance proxy
+            without ``with_instances``, or a timeCode is asked for that does not exist and
+            ``allow_missing`` is off.
     """
     _check_units(stage)
     ranges = parse_frames(config.frames)
-    prims, omitted = choose_volumes(stage, config.prims)
+    prims, omitted = choose_volumes(stage, config.prims, with_instances)
     own = [_own_config(prim, config) if with_requests else config for prim in prims]
     outlines, errors = _outline_volumes(list(zip(prims, own, strict=True)), copied)
     if not outlines:
