@@ -165,7 +165,7 @@ def stylize_job(
             tell = record_scenes(opened, tell)
         check_storage(opened, to_do)
         with clock.part(ELSEWHERE):
-            run_coarse_step(opened, tell)
+            tell = run_coarse_step(opened, tell) or tell
             stylize_windows(opened, to_do, hashes, tell, redo=True)
         # Frames of two windows are blended, and the look layer is written last.
         return assemble_run(opened, tell, clock)
@@ -217,7 +217,7 @@ def run_coarse(
         if not had_scenes:
             hash_frames(opened, opened.plan.tasks, tell)  # damage shows; the hashes are not used
             tell = record_scenes(opened, tell)
-        was_done = not run_coarse_step(opened, tell) and had_scenes
+        was_done = run_coarse_step(opened, tell) is None and had_scenes
     return _task_result(opened, None, was_done)
 
 
@@ -260,7 +260,7 @@ def run_window(
             hashes = hash_frames(opened, [task], tell)
             tell = record_scenes(opened, tell)
             check_storage(opened, [task])
-            run_coarse_step(opened, tell, task.frames)
+            tell = run_coarse_step(opened, tell, task.frames) or tell
             stylize_windows(opened, [task], hashes, tell, redo)
     return _task_result(opened, window, was_done)
 

@@ -130,7 +130,7 @@ class _Pool:
         self._tasks, self._tell = tasks, tell
         self._idle: list[tuple[Connection, SpawnProcess]] = []
         self._busy: dict[Connection, tuple[int | None, SpawnProcess]] = {}
-        self._trained = 0.0  # share of the run that a training before the windows is
+        self._before = 0.0  # share of the run that training and coarse step are
         self._shares: dict[int, float] = {}
 
     def run(self, windows: Sequence[int | None], n_processes: int) -> None:
@@ -199,13 +199,13 @@ class _Pool:
     def _report(self, window: int | None, report: RunProgress) -> None:
         """Progress of one window as progress of the run."""
         if window is None:
-            if report.step == "train":
-                self._trained = report.share
-            self._tell(replace(report, share=self._trained))
+            self._before = max(report.share, self._before)
+            self._tell(replace(report, share=self._before))
             return
         self._shares[window] = max(report.share, self._shares.get(window, 0.0))
         done = sum(self._shares.values()) / len(self._tasks.windows)
-        self._tell(replace(report, share=self._trained + (1 - self._trained) * done))
+        share = self._before + (1 - self._before) * done
+        self._tell(replace(report, share=share, window=window))
 
 
 def _work(connection: Connection, tasks: Tasks) -> None:

@@ -126,6 +126,7 @@ class CostEstimate:
     memory_gib: float  # peak
     seconds: float
     bytes_written: int
+    coarse_seconds: float = 0.0  # of these, those of the coarse step that windows share
     bytes_temporary: int = 0  # of decoded source frames; where the disk is short, fewer are kept
 
 
@@ -152,12 +153,14 @@ def estimate_run(
     finest = 1.0 / coarse_factor(config) if is_shared else 1.0
     above = (finest if is_shared else 0.0, 1.0)
     speed = _speed(config, threads)
+    below = sum(_frame_seconds(frame, config, n_styles, speed, (0, finest)) for frame in coarse)
     return CostEstimate(
         memory_gib=max((_frame_memory(frame, config) for frame in frames), default=BASE) / GIB,
         seconds=START
         + sum(_frame_seconds(frame, config, n_styles, speed, above) for frame in (*frames, *again))
-        + sum(_frame_seconds(frame, config, n_styles, speed, (0, finest)) for frame in coarse),
+        + below,
         bytes_written=written_bytes(config, frames, (*twice, *twice), coarse),
+        coarse_seconds=below,
     )
 
 
@@ -211,6 +214,7 @@ def add_estimates(parts: Sequence[CostEstimate]) -> CostEstimate:
         memory_gib=max((part.memory_gib for part in parts), default=BASE / GIB),
         seconds=sum(part.seconds for part in parts) - (len(parts) - 1) * START,
         bytes_written=sum(part.bytes_written for part in parts),
+        coarse_seconds=sum(part.coarse_seconds for part in parts),
         bytes_temporary=sum(part.bytes_temporary for part in parts),
     )
 

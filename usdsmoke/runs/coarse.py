@@ -19,11 +19,11 @@ from usdsmoke.config.settings import Config
 from usdsmoke.pictures import find_style_size, refine_for_less
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
-from usdsmoke.planning.plan import FramePlan, VolumePlan, WindowTask, named_frames
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask, named_frames
 from usdsmoke.planning.visibility import MOST_REFINED
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, network_file_name
 from usdsmoke.runs.opened import OpenRun, has_coarse_step, missing_starts
-from usdsmoke.runs.progress import RunProgress, RunProgressCallback
+from usdsmoke.runs.progress import RunProgress, RunProgressCallback, share_of
 from usdsmoke.runs.run import Run
 from usdsmoke.runs.sheet import sample_frames
 
@@ -107,7 +107,7 @@ def settle_start(run: Run, volume_number: int, config: Config) -> Config:
 
 def run_coarse_step(
     opened: OpenRun, tell: RunProgressCallback, frames: Collection[FramePlan] | None = None
-) -> bool:
+) -> RunProgressCallback | None:
     """The coarse step of every sequence that several windows share, as far as it is not done.
 
     A second process waits for the first one's results.
@@ -115,24 +115,42 @@ def run_coarse_step(
     Args:
         opened: the run; it has begun.
         tell: called for every frame.
-        frames: those whose starts are asked for; None: all. No other start is looked at.
+        frames: those whose starts are asked for, and which are computed behind it; None: all. No
+            other start is looked at.
 
     Returns:
-        Whether there was anything to do.
+        What is called during the rest of the run: what is done of it counts behind this step. None
+        where there was nothing to do.
 
     Raises:
         UsdSmokeError: whatever the core or the writing of files raises.
     """
     run, plan = opened.run, opened.plan
     if not missing_starts(run, plan, frames):
-        return False
+        return None
+    part = _share(plan, frames)
     with run.claim():
         to_do = missing_starts(run, plan, frames)  # another process may have done it meanwhile
         n_frames, done = sum(len(chain) for _, _, chain in to_do), 0
         for number, volume, chain in to_do:
-            _run_chain(opened, (number, volume, chain), (done, n_frames), tell)
+            counted, own = (done, n_frames), share_of(tell, 0.0, part)
+            _run_chain(opened, (number, volume, chain), counted, own)
             done += len(chain)
-    return bool(to_do)
+    return share_of(tell, part, 1.0) if to_do else None
+
+
+def _share(plan: Plan, frames: Collection[FramePlan] | None) -> float:
+    """The part of the time that the coarse step takes, by the plan's estimate.
+
+    Args:
+        frames: those that are computed behind it; None: all.
+    """
+    training = sum(volume.training_seconds for volume in plan.volumes)
+    coarse = plan.estimate.coarse_seconds
+    n_all = sum(len(task.frames) for task in plan.tasks)
+    n_behind = n_all if frames is None else len(frames)
+    behind = (plan.estimate.seconds - training - coarse) * n_behind / max(n_all, 1)
+    return coarse / (coarse + behind) if coarse else 0.0
 
 
 def coarse_starts(run: Run, task: WindowTask) -> "Callable[[float], CoarseStart | None] | None":
@@ -191,8 +209,13 @@ def _run_chain(
     here = describe_machine(job.config.optimize)
     first, known = _resumed(run, record, frames, here)
 
+    furthest = done + first  # a frame's colours come behind the next one's displacement
+
     def report(state: "Progress") -> None:
-        tell(RunProgress("coarse", state.time_code, done + first + state.frame, n_frames, 0.0))
+        nonlocal furthest
+        number = done + first + state.frame
+        furthest = max(number, furthest)
+        tell(RunProgress("coarse", state.time_code, number, n_frames, furthest / n_frames))
 
     starts = coarse_frames(
         (opened.reader.read(volume, frame) for frame in frames[first:]),

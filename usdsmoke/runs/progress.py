@@ -26,6 +26,7 @@ class RunProgress:
     octave: int = 0  # 0-based, coarse to fine
     n_octaves: int = 0  # 0 for steps without iterations
     loss: float = 0.0
+    window: int | None = None  # its number, where several processes compute windows at once
     findings: tuple[Finding, ...] = ()  # of the frame that was just written, or of the scene
 
 
@@ -46,51 +47,76 @@ def share_of(tell: RunProgressCallback, first: float, last: float) -> RunProgres
 class WorkMeter:
     """The share of a run that is done, counted in iterations weighted by what an octave costs.
 
+    Of a frame the next one's shape step comes before its colour step, so each step is counted by
+    itself. The share never falls.
+
     Args:
         warm: for every frame to do, whether it starts from its neighbour's result.
+        left: for every frame, how many octaves of each step the shared coarse step has left to it;
+            0: all.
     """
 
-    def __init__(self, config: Config | Sequence[Config], warm: Sequence[bool]) -> None:
+    def __init__(
+        self,
+        config: Config | Sequence[Config],
+        warm: Sequence[bool],
+        left: Sequence[int] | None = None,
+    ) -> None:
         configs = [config] * len(warm) if isinstance(config, Config) else config
-        self._iterations = [
-            _frame_iterations(own, is_warm) for own, is_warm in zip(configs, warm, strict=True)
+        left = left or [0] * len(warm)
+        self._work = [
+            _frame_work(own, is_warm, n_left)
+            for own, is_warm, n_left in zip(configs, warm, left, strict=True)
         ]
-        self._total = sum(self._frame_work(frame) for frame in range(len(warm)))
+        self._done = [dict.fromkeys(work, 0.0) for work in self._work]
+        self._total = sum(sum(octaves) for work in self._work for _, octaves in work.values())
 
     def share(self, report: Progress, frame: int) -> float:
         """The share that is done after an iteration."""
-        before = sum(self._frame_work(earlier) for earlier in range(frame))
-        steps = list(self._iterations[frame])
-        steps = steps[: steps.index(report.step)]
-        before += sum(self._step_work(frame, step, 1.0) for step in steps)
-        part = min((report.iteration + 1) / max(report.n_iterations, 1), 1.0)
-        done = before + self._step_work(frame, report.step, part)
-        return min(done / self._total, 1.0) if self._total else 1.0
+        work = self._work[frame]
+        for step in list(work)[: list(work).index(report.step)]:
+            self._finish(frame, step)
+        iterations, weights = work[report.step]
+        left = sum(iterations) * min((report.iteration + 1) / max(report.n_iterations, 1), 1.0)
+        done = 0.0
+        for n, weight in zip(iterations, weights, strict=True):
+            part = min(left, n)
+            done += weight * part / n if n else 0.0
+            left -= part
+        self._done[frame][report.step] = max(done, self._done[frame][report.step])
+        return self.now
 
-    def share_before(self, frame: int) -> float:
-        """The share that is done when a frame begins."""
-        done = sum(self._frame_work(earlier) for earlier in range(frame))
-        return done / self._total if self._total else 1.0
+    def finish(self, frame: int) -> float:
+        """The share that is done when a frame is, whatever was reported of it."""
+        for step in self._work[frame]:
+            self._finish(frame, step)
+        return self.now
 
-    def _frame_work(self, frame: int) -> float:
-        return sum(self._step_work(frame, step, 1.0) for step in self._iterations[frame])
+    @property
+    def now(self) -> float:
+        """The share that is done, 0 to 1."""
+        if not self._total:
+            return 1.0
+        return min(sum(sum(done.values()) for done in self._done) / self._total, 1.0)
 
-    def _step_work(self, frame: int, step: str, part: float) -> float:
-        """Work of a step when this part of its iterations is done, all octaves taken together.
-
-        Pixels fall with the square of the scale, and some of the cost is fixed.
-        """
-        iterations = self._iterations[frame][step]
-        left = part * sum(iterations)
-        work = 0.0
-        for octave, n in enumerate(iterations):
-            coarseness = len(iterations) - 1 - octave
-            done = min(left, n)
-            work += done * (_FIXED_WORK + OCTAVE_SCALE ** (-2 * coarseness))
-            left -= done
-        return work
+    def _finish(self, frame: int, step: str) -> None:
+        self._done[frame][step] = sum(self._work[frame][step][1])
 
 
-def _frame_iterations(config: Config, is_warm: bool) -> dict[str, list[int]]:
-    """A frame's iterations by step, octave by octave."""
-    return {step: step_iterations(config, step, is_warm) for step in config.optimize.steps}
+def _frame_work(
+    config: Config, is_warm: bool, n_left: int
+) -> dict[str, tuple[list[int], list[float]]]:
+    """A frame's iterations by step, octave by octave, and the work of each octave.
+
+    Pixels fall with the square of the scale, and some of the cost is fixed.
+    """
+    found: dict[str, tuple[list[int], list[float]]] = {}
+    for step in config.optimize.steps:
+        iterations = step_iterations(config, step, is_warm)
+        work = [
+            n * (_FIXED_WORK + OCTAVE_SCALE ** (-2 * (len(iterations) - 1 - octave)))
+            for octave, n in enumerate(iterations)
+        ]
+        n_begun = len(work) - n_left if n_left else 0
+        found[step] = (iterations, [0.0] * n_begun + work[n_begun:])
+    return found

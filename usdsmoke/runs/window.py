@@ -13,12 +13,17 @@ from usdsmoke.base.json_records import read_json
 from usdsmoke.base.machine import give_back_memory, usable_cpus
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.storage import check_half
-from usdsmoke.core.sequence.controls import are_independent, brightest_emission, frame_config
+from usdsmoke.core.sequence.controls import (
+    are_independent,
+    brightest_emission,
+    fine_octaves,
+    frame_config,
+)
 from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
 from usdsmoke.runs.budget import Finding, PartClock, WindowFindings, timed_items
 from usdsmoke.runs.coarse import coarse_starts, read_scene, settle_start
 from usdsmoke.runs.manifests import WindowRecord
-from usdsmoke.runs.opened import OpenRun
+from usdsmoke.runs.opened import OpenRun, has_coarse_step
 from usdsmoke.runs.outputs import write_result
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback, WorkMeter
 from usdsmoke.runs.run import Run
@@ -106,8 +111,8 @@ def stylize_windows(
     """
     warm = [bool(place) for task in tasks for place, _ in enumerate(task.frames)]
     configs = [task.volume.config for task in tasks for _ in task.frames]
-    meter, done = WorkMeter(configs, warm), 0
-    tell = _never_back(tell)
+    left = [_octaves_left(opened, task) for task in tasks for _ in task.frames]
+    meter, done = WorkMeter(configs, warm, left), 0
     for place, task in enumerate(tasks):
         with opened.run.claim(task.number):
             if redo or opened.run.window(task.number) is None:
@@ -116,6 +121,8 @@ def stylize_windows(
                 progress = _Counter(meter, places, len(warm), tell)
                 _stylize_window(opened, task, source_hashes, progress)
             opened.run.checkpoint_path(task.number).unlink(missing_ok=True)
+        for number in range(len(task.frames)):  # also where another process has done the window
+            meter.finish(done + number)
         done += len(task.frames)
         later = [frame for other in tasks[place + 1 :] for frame in other.frames]
         opened.reader.release(task.frames, [*later, *_frames_to_assemble(opened.plan)])
@@ -130,16 +137,10 @@ def _frames_to_assemble(plan: Plan) -> Iterator[FramePlan]:
                 yield frame
 
 
-def _never_back(tell: RunProgressCallback) -> RunProgressCallback:
-    """The share never falls, also where the core goes over its frames more than once."""
-    furthest = 0.0
-
-    def report(state: RunProgress) -> None:
-        nonlocal furthest
-        furthest = max(furthest, state.share)
-        tell(replace(state, share=furthest))
-
-    return report
+def _octaves_left(opened: OpenRun, task: WindowTask) -> int:
+    """The octaves of a window's frames that follow the shared coarse step; 0: all."""
+    has_starts = has_coarse_step(opened.run, task.volume_number, task.volume)
+    return fine_octaves(task.volume.config) if has_starts else 0
 
 
 @dataclass(frozen=True)
@@ -153,14 +154,14 @@ class _Counter:
 
     def writing(self, time_code: float) -> None:
         frame = self.places[time_code]
-        share = self.meter.share_before(frame + 1)
+        share = self.meter.finish(frame)
         self.tell(RunProgress("write", time_code, frame, self.n_frames, share))
 
     def found(self, time_code: float, findings: Iterable[Finding]) -> None:
         """Tell what deserves a look as soon as it is known, hours before the run ends."""
         frame, findings = self.places[time_code], tuple(findings)
         if findings:
-            share = self.meter.share_before(frame)
+            share = self.meter.now
             self.tell(
                 RunProgress("found", time_code, frame, self.n_frames, share, findings=findings)
             )

@@ -57,7 +57,7 @@ def test_json_has_the_promised_keys_and_the_numbers_of_the_headers(shot: Shot) -
     assert [frame["window"] for frame in described["frames"]] == [0, 0, 1]
     assert all(item["what"] and item["reason"] for item in described["omitted"])
     assert set(described["estimate"]) == {
-        "memory_gib", "seconds", "bytes_written", "bytes_temporary",
+        "memory_gib", "seconds", "coarse_seconds", "bytes_written", "bytes_temporary",
     }  # fmt: skip
     json.dumps(described, allow_nan=False)
 

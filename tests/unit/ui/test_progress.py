@@ -53,8 +53,38 @@ def test_the_share_rises_with_every_iteration_and_ends_at_one(
     shares = [meter.share(report, frame) for frame, report in reports_of(config, warm)]
     assert all(earlier < later for earlier, later in pairwise([0.0, *shares]))
     assert shares[-1] == pytest.approx(1.0)
-    assert meter.share_before(0) == 0.0
-    assert meter.share_before(len(warm)) == pytest.approx(1.0)
+
+
+def test_steps_of_two_frames_that_are_done_in_turn_count_by_themselves() -> None:
+    """The next frame's shape step comes before a frame's colour step."""
+    config = Config()
+    reports = reports_of(config, [False, True])
+    order = [(0, "shape"), (1, "shape"), (0, "colour"), (1, "colour")]
+    in_turn = [(f, r) for part in order for f, r in reports if (f, r.step) == part]
+    meter = WorkMeter(config, [False, True])
+    shares = [meter.share(report, frame) for frame, report in in_turn]
+    assert all(earlier < later for earlier, later in pairwise([0.0, *shares]))
+    assert shares[-1] == pytest.approx(1.0)
+    assert 0.4 < shares[len(shares) // 2] < 0.7
+
+
+def test_a_frame_that_ends_early_counts_as_done() -> None:
+    meter = WorkMeter(Config(), [False, False])
+    first = next(report for _, report in reports_of(Config(), [False]))
+    assert 0 < meter.share(first, 0) < 0.01
+    assert meter.finish(0) == meter.now == pytest.approx(0.5)
+    assert meter.finish(1) == pytest.approx(1.0)
+
+
+def test_octaves_of_the_shared_coarse_step_do_not_count_in_windows() -> None:
+    config = resolve_config({"optimize": {"steps": ["colour"]}})
+    n_shared = config.windows.shared_octaves
+    meter = WorkMeter(config, [False], [1])
+    shares = [meter.share(report, 0) for _, report in reports_of(config, [False])]
+    n_coarse = sum(config.colour.iterations[:n_shared])
+    assert shares[:n_coarse] == [0.0] * n_coarse
+    assert shares[n_coarse] == pytest.approx(1 / config.colour.iterations[-1])
+    assert shares[-1] == pytest.approx(1.0)
 
 
 def test_the_fine_octave_counts_for_more_than_the_coarse_one() -> None:
@@ -65,7 +95,7 @@ def test_the_fine_octave_counts_for_more_than_the_coarse_one() -> None:
 
 def test_a_frame_that_starts_from_its_neighbour_counts_for_less() -> None:
     meter = WorkMeter(Config(), [False, True])
-    assert 0.5 < meter.share_before(1) < 0.9
+    assert 0.5 < meter.finish(0) < 0.9
 
 
 def run_in_log(steps: list[str], n_iterations: int) -> list[str]:
@@ -101,6 +131,13 @@ def test_steps_without_iterations_tell_neither_loss_nor_time() -> None:
     with ConsoleProgress(Console(file=stream, force_terminal=False)) as progress:
         progress(RunProgress("check", 3.5, 1, 4, 0.0))
     assert stream.getvalue() == "  0% check frame 2/4 (t=3.5)\n"
+
+
+def test_windows_of_several_processes_are_told_apart() -> None:
+    stream = io.StringIO()
+    with ConsoleProgress(Console(file=stream, force_terminal=False)) as progress:
+        progress(RunProgress("write", 3.0, 1, 4, 0.5, window=2))
+    assert "window 2" in stream.getvalue() and "frame 2/4" in stream.getvalue()
 
 
 def test_a_terminal_gets_a_bar() -> None:

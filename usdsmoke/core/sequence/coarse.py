@@ -14,7 +14,7 @@ import numpy as np
 from usdsmoke.base.frame_report import ProgressCallback
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.config.settings import Config
-from usdsmoke.core.sequence.controls import coarse_factor, without_network
+from usdsmoke.core.sequence.controls import coarse_factor, fine_octaves, without_network
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import (
     OpenedFrame,
@@ -58,7 +58,7 @@ def coarse_frames(
     n_frames = len(frames) if isinstance(frames, Sequence) else 0
     coarse = dataclasses.replace(scene.coarser(factor), is_coarse_step=True)
     context = make_context(
-        styles, coarse, _coarse_config(config, factor), progress, time_codes_per_second, None,
+        styles, coarse, _coarse_config(config), progress, time_codes_per_second, None,
         n_frames,
     )  # fmt: skip
     known = known.to(context.device) if known is not None else None
@@ -115,13 +115,13 @@ def _open_coarse(factor: int, frame: VolumeFrame, context: WindowContext) -> Ope
     return open_frame(coarse, dataclasses.replace(context, config=config, scene=scene))
 
 
-def _coarse_config(config: Config, factor: int) -> Config:
+def _coarse_config(config: Config) -> Config:
     """Only the octaves that are as coarse as the coarse voxels, or coarser; without a network.
 
     ``windows.steadiness`` counts changes in the shot's pixels, not in the coarse ones: what changes
     here from frame to frame, windows pass on (decision 053).
     """
-    n_fine = factor.bit_length() - 1
+    n_fine, factor = fine_octaves(config), coarse_factor(config)
     shape, colour, windows = config.shape, config.colour, config.windows
     return config.replace(
         shape=shape.replace(iterations=shape.iterations[: -n_fine or None]),

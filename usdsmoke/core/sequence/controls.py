@@ -170,11 +170,14 @@ def are_independent(config: Config) -> bool:
     return network_alone(config) and not moves
 
 
-def coarse_factor(config: Config) -> int:
-    """How many times larger the voxels of the shared coarse step are; 1 when there is none.
-
-    Every step keeps one octave at least for the windows, and one that has no more shares none.
-    """
+def fine_octaves(config: Config) -> int:
+    """The octaves of a step that follow the shared coarse step; 0 where windows share none."""
     n_octaves = [len(getattr(config, step).iterations) for step in config.optimize.steps]
+    # every step keeps one octave at least for the windows, and one that has no more shares none
     n_fine = max(min(n_octaves) - config.windows.shared_octaves, 1)
-    return OCTAVE_SCALE**n_fine if n_fine < min(n_octaves) else 1
+    return n_fine if n_fine < min(n_octaves) else 0
+
+
+def coarse_factor(config: Config) -> int:
+    """How many times larger the voxels of the shared coarse step are; 1 when there is none."""
+    return OCTAVE_SCALE ** fine_octaves(config)

@@ -65,7 +65,7 @@ class ConsoleProgress:
             return
         now = self._clock()
         where, left = _where(report), ""
-        if report.loss:
+        if report.loss or report.step == "coarse":
             left = self._time_left(now, report.share)
         self._bars.update(self._task, description=where, completed=report.share, left=left)
         is_due = report.step != self._last_step or now - self._last_line >= _LINE_EVERY
@@ -98,6 +98,8 @@ def _where(report: RunProgress) -> str:
     """What is being done, in a few words."""
     noun = {"window": "", "train": " iteration"}.get(report.step, " frame")
     where = f"{report.step}{noun} {report.frame + 1}/{report.n_frames}"
+    if report.window is not None:
+        where = f"window {report.window}: {where}"
     if report.step != "train":
         where += f" (t={report.time_code:g})"
     if report.n_octaves:
