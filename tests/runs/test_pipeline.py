@@ -193,6 +193,18 @@ def test_progress_tells_every_frame_and_ends_at_one(shot: Shot, core: FakeCore) 
     assert all(r.n_frames == 3 for r in reports if r.step == "colour")
 
 
+def test_progress_counts_the_coarse_step_before_the_windows(shot: Shot, core: FakeCore) -> None:
+    reports: list[RunProgress] = []
+    run(shot, "windows.size=2", "windows.overlap=1", progress=reports.append)
+    coarse, fine = (
+        [report.share for report in reports if report.step in steps]
+        for steps in (["coarse"], ["shape", "colour", "write"])
+    )
+    assert coarse[0] == 0 < coarse[-1] < fine[0]
+    assert [*coarse, *fine] == sorted([*coarse, *fine])
+    assert fine[-1] == pytest.approx(1.0)
+
+
 def test_what_deserves_a_look_is_told_when_its_frame_is_written(shot: Shot, core: FakeCore) -> None:
     core.steps = {"colour": StepReport(loss=(9.0,), remaining=9.0)}
     reports: list[RunProgress] = []
