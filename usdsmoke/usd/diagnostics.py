@@ -5,6 +5,7 @@ import re
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
@@ -112,7 +113,9 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
             return f"{file_path} names VDB files, not a stage. {_make_stage(file_path)}"
         return f"there is no file {file_path}. Check the path."
     except IsADirectoryError:
-        return f"{file_path} is a folder. {_FORMATS}"
+        stages = sorted(Path(found).glob("*_look.usd[ac]"))  # of a result
+        advice = f"Give the stage {stages[0]}." if stages else _FORMATS
+        return f"{file_path} is a folder. {advice}"
     except PermissionError as error:
         return f"{file_path} cannot be read: {error.strerror}. Change its permissions."
     except OSError as error:

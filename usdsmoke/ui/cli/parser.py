@@ -18,7 +18,7 @@ class SuggestingParser(argparse.ArgumentParser):
         if unknown:
             own: argparse.ArgumentParser = arguments.parser
             options = re.findall(r"--[\w-]+", own.format_usage())
-            hint = _closest(unknown[0].partition("=")[0], options)
+            hint = _closest(unknown[0].partition("=")[0], options) or f" See {own.prog} --help."
             if all(word.endswith(".vdb") for word in unknown):  # the shell has expanded plume.*.vdb
                 hint = " Name a sequence by a pattern in quotes: 'plume.####.vdb'."
             own.error(f"unknown argument{'s' * (len(unknown) > 1)}: {' '.join(unknown)}.{hint}")
@@ -76,5 +76,6 @@ def _joined(words: Sequence[str]) -> list[str]:
 
 
 def _closest(word: str, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(word, known, n=1)
-    return f" Did you mean {close[0]}?" if close else ""
+    names = {name.lstrip("-"): name for name in known}  # dashes are alike in all of them
+    close = difflib.get_close_matches(word.lstrip("-"), names, n=1)
+    return f" Did you mean {names[close[0]]}?" if close else ""
