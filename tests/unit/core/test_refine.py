@@ -44,7 +44,7 @@ def test_a_field_linear_in_space_stays_linear_inside():
     slope = np.array([0.3, -0.2, 0.1])
     source = field((positions(source) @ slope).astype(np.float32))
     fine = refine_field(source, 2)
-    inside = (slice(3, -3),) * 3
+    inside = (slice(4, -4),) * 3
     assert fine.values[inside] == pytest.approx((positions(fine) @ slope)[inside], abs=1e-5)
 
 
@@ -72,3 +72,25 @@ def test_vectors_are_refined_channel_by_channel():
     assert made.ijk_min == alone.ijk_min
     assert made.values[..., 1] == pytest.approx(2 * alone.values, abs=1e-6)
     assert not made.values[..., 2].any()
+
+
+def test_a_single_voxel_becomes_a_quadratic_b_spline():
+    values = np.zeros((3, 3, 3), np.float32)
+    values[1, 1, 1] = 2.0
+    fine = refine_field(field(values), 4)
+    place = np.abs((np.arange(20) + 0.5) / 4 - 2.5)  # from the voxel's centre, in voxels
+    spline = np.where(place < 0.5, 0.75 - place**2, 0.5 * np.clip(1.5 - place, 0, None) ** 2)
+    assert fine.values == pytest.approx(2 * np.einsum("i,j,k", *[spline] * 3), abs=1e-6)
+
+
+def test_the_outline_of_dense_smoke_is_round():
+    """Steps of voxels would show: trilinear interpolation is 4.7 % off the mean radius at most."""
+    ijk = np.stack(np.meshgrid(*[np.arange(11) - 5.0] * 3, indexing="ij"), axis=-1)
+    soft = np.clip(5.5 - np.linalg.norm(ijk, axis=-1), 0, None).astype(np.float32)
+    columns = refine_field(field(soft), 8).values.sum(axis=2)
+    opacity = 1 - np.exp(-30 * columns / np.percentile(columns[columns > 0.01 * columns.max()], 90))
+    angles, radii = np.deg2rad(np.arange(0, 360, 5))[:, None], np.arange(0, 6.4, 0.02)
+    places = np.stack([np.cos(angles) * radii, np.sin(angles) * radii])
+    along = opacity[tuple(np.floor((places + 6.5) * 8).astype(int))]
+    outline = (along > 0.2).sum(axis=1) * 0.02
+    assert np.abs(outline / outline.mean() - 1).max() < 0.03

@@ -17,7 +17,6 @@ from torch import Tensor
 
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
-from usdsmoke.core.fields.sample import sample_linear
 
 Method = Literal["linear", "cubic"]
 _SIGMAS = 4.0  # where the Gaussian is cut off; 6e-5 of it lies beyond
@@ -77,8 +76,12 @@ def smooth(values: Tensor, sigma: float | Sequence[float]) -> Tensor:
 def refine_field(field: DenseField, factor: int) -> DenseField:
     """The field on voxels ``factor`` times smaller along every axis with more than one voxel.
 
-    Trilinear between voxel centres and towards the background beyond the box, so that the integral
-    over space is kept. The box grows by one source voxel on every side that is subdivided.
+    A quadratic B-spline with the voxels' values as its coefficients [Unser1999]: its slope is
+    continuous, so dense smoke has round outlines, where trilinear interpolation has steps of the
+    source's voxels. It keeps the integral over space and the range of values, reproduces what is
+    linear, and is a little softer: the width of a voxel (standard deviation) is 0.5 voxels instead
+    of the trilinear 0.41. The box grows by one source voxel on every side that is subdivided, where
+    the field falls to its background.
 
     Args:
         field: [i j k] or [i j k 3].
@@ -89,24 +92,18 @@ def refine_field(field: DenseField, factor: int) -> DenseField:
     shape = np.array(field.values.shape[:3])
     scale = np.where(shape > 1, factor, 1)
     pad = np.where(shape > 1, 1, 0)
-    axes = [
-        (torch.arange(int(n), dtype=torch.float32) + 0.5) / int(f) - 0.5 - int(p)
-        for n, f, p in zip((shape + 2 * pad) * scale, scale, pad, strict=True)
-    ]
     values = torch.from_numpy(np.ascontiguousarray(field.values, np.float32))
-    outside = np.asarray(field.background, np.float32).reshape(-1)
-    shifted = values - torch.from_numpy(outside) if values.ndim == 4 else values - float(outside[0])
-    refined = torch.empty(*(len(axis) for axis in axes), *values.shape[3:], dtype=torch.float32)
-    for plane, position in zip(refined, axes[0], strict=True):
-        # slab by slab, so that the positions never fill memory
-        grid = torch.stack(torch.meshgrid(position[None], axes[1], axes[2], indexing="ij"), -1)
-        plane[:] = sample_linear(shifted, grid.reshape(-1, 3)).view(plane.shape)
-    refined += torch.from_numpy(outside) if values.ndim == 4 else float(outside[0])
+    outside = torch.from_numpy(np.asarray(field.background, np.float32).reshape(-1))
+    values = values - (outside if values.ndim == 4 else outside[0])
+    for axis in (2, 1, 0):  # the last step makes the largest box, plane by plane
+        if scale[axis] > 1:
+            values = _subdivided(values, axis, int(scale[axis]))
+    values += outside if values.ndim == 4 else outside[0]
     old_from_new = np.diag([*(1.0 / scale), 1.0])
     old_from_new[3, :3] = 0.5 / scale - 0.5
     return DenseField(
         field.name,
-        refined.numpy(),
+        values.numpy(),
         tuple(int(n) for n in (np.asarray(field.ijk_min) - pad) * scale),  # type: ignore[arg-type]
         old_from_new @ field.index_to_world,
         field.background,
@@ -114,6 +111,23 @@ def refine_field(field: DenseField, factor: int) -> DenseField:
         field.half,
         field.metadata,
     )
+
+
+def _subdivided(values: Tensor, axis: int, parts: int) -> Tensor:
+    """A quadratic B-spline at the centres of the parts of each voxel and of one beyond each end.
+
+    Args:
+        values: coefficients, a box along whose ``axis`` zeros follow.
+    """
+    values = values.movedim(axis, 0)
+    n = len(values)
+    fine = values.new_zeros((n + 2, parts, *values.shape[1:]))
+    for part in range(parts):
+        place = (part + 0.5) / parts - 0.5  # from the voxel's centre, in voxels
+        weights = (0.5 * (0.5 - place) ** 2, 0.75 - place**2, 0.5 * (0.5 + place) ** 2)
+        for first, weight in zip((2, 1, 0), weights, strict=True):  # voxels before, at and behind
+            fine[first : first + n, part].add_(values, alpha=weight)
+    return fine.flatten(0, 1).movedim(0, axis)
 
 
 def apply_along(values: Tensor, matrices: Sequence[Tensor]) -> Tensor:
