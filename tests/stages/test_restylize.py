@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdUtils, UsdVol
+from pxr import Sdf, Usd, UsdShade, UsdUtils, UsdVol
 
 from tests.fixtures.pipeline_fixtures import Shot, make_shot, run, shown_files, values_of
 from tests.fixtures.shot_fixtures import PLUME, make_big_shot
@@ -17,6 +17,7 @@ from usdsmoke.base.errors import LayerError, OutputExists, StageError
 from usdsmoke.farm.openjd import submit
 from usdsmoke.pipeline import Request, StylizeResult, stylize
 from usdsmoke.ui.cli.main import main
+from usdsmoke.usd.gate import validate_look
 from usdsmoke.usd.stage import open_stage
 from usdsmoke.usd.stage.originals import open_source
 
@@ -106,6 +107,26 @@ def test_restylize_takes_the_stylized_smoke_and_lays_the_new_look_over_the_old(s
     muted = read_stage(second.root_stage, mute=(second.look_layer,))
     assert muted["prims"] == read_stage(first.root_stage)["prims"]
     assert not [item for item in second.plan.omitted if item.what == "earlier look"]
+    assert validate_look(second.root_stage) == ([], [])
+
+
+def test_a_look_over_a_look_has_a_material_of_its_own(shot: Shot) -> None:
+    """That of the first one has other numbers."""
+    first = run(shot)
+    second = again(shot, first.root_stage, RESTYLIZE, "layer.emission_mode=perDensity")
+    bound = []
+    for stage in (first.root_stage, second.root_stage):
+        opened = Usd.Stage.Open(str(stage))
+        prim = opened.GetPrimAtPath("/World/smoke")
+        material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("full")
+        bound.append(material.GetPath())
+        numbers = [
+            shader.GetInput("emissionIsPerDensity").Get()
+            for child in material.GetPrim().GetChildren()
+            if (shader := UsdShade.Shader(child)).GetInput("emissionIsPerDensity")
+        ]
+        assert numbers == [float(len(bound) - 1)]
+    assert bound[0] != bound[1]
 
 
 def test_an_earlier_look_that_stays_in_the_users_stage_shows_nowhere(shot: Shot) -> None:

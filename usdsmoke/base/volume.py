@@ -123,6 +123,7 @@ class BoundMaterial:
     # The number by which a shader that shows a look multiplies the density, by context; without
     # those that a network drives.
     densities: Mapping[str, float] = field(default_factory=dict)
+    is_of_look: bool = False  # an earlier look brought it
 
     def hidden_in(self, colours: Collection[str]) -> tuple[str, ...]:
         """The contexts in which a look with these colour grids is not seen; ("",) without shaders.

@@ -136,7 +136,11 @@ def _switched(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:
             continue
         try:
             record = read_record(layer)
-            volumes = find_volumes(source, StageConfig(), with_requests=False, problems=[])
+            below = source
+            if record.settings.get("stage", {}).get("restylize"):  # made from the looks below it
+                below = Usd.Stage.Open(composed.GetRootLayer(), composed.GetSessionLayer())
+                below.MuteLayer(name)
+            volumes = find_volumes(below, StageConfig(), with_requests=False, problems=[])
         except UsdSmokeError:
             continue  # other rules report it
         at = partial(_time_on, composed, layer)

@@ -16,6 +16,7 @@ from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.base.volume import BoundMaterial
 from usdsmoke.config.run_sections import LayerConfig
 from usdsmoke.usd.diagnostics import captured_diagnostics
+from usdsmoke.usd.layer_record import record_values
 
 BINDING = "material:binding"
 _COLLECTION = f"{BINDING}:collection"
@@ -56,7 +57,8 @@ def find_materials(volume: Usd.Prim) -> tuple[BoundMaterial, ...]:
         weaker = _is_weaker(relationship, volume)
         numbers = {name: _density(prims) for name, prims in shaders.items()}
         densities = {name: number for name, number in numbers.items() if number is not None}
-        found[path] = BoundMaterial(path, readers, weaker, multiplies, densities)
+        is_of_look = any(record_values(spec.layer) for spec in material.GetPrim().GetPrimStack())
+        found[path] = BoundMaterial(path, readers, weaker, multiplies, densities, is_of_look)
     return tuple(found.values())
 
 
@@ -65,13 +67,15 @@ def binds_material(config: LayerConfig, has_colour: bool, bound: tuple[BoundMate
 
     Args:
         has_colour: False for a look of density alone, which every material shows.
-        bound: the materials that the source has bound.
+        bound: the materials that the source has bound. That of an earlier look, which is stylized
+            once more, is made for other numbers.
     """
     if not has_colour or config.material == "none":
         return False
     if not all(material.can_replace for material in bound):
         return False
-    return config.material == "replace" or not any(material.readers for material in bound)
+    theirs = [material for material in bound if material.readers and not material.is_of_look]
+    return config.material == "replace" or not theirs
 
 
 def purposes_to_bind(volume: Usd.Prim) -> list[str]:
