@@ -43,8 +43,8 @@ class FrameRange:
             return False
         if self.step is None:
             return True
-        n_steps = (time_code - self.first) / self.step
-        return abs(n_steps - round(n_steps)) * self.step <= _TOLERANCE
+        n_steps = round((time_code - self.first) / self.step)
+        return abs(time_code - self.first - n_steps * self.step) <= _tolerance(n_steps)
 
 
 def parse_frames(text: str) -> tuple[FrameRange, ...]:
@@ -83,9 +83,9 @@ def select_frames(
     if not ranges:
         return tuple(existing), ()
     selected = tuple(code for code in existing if any(part.holds(code) for part in ranges))
-    requested = {code for part in ranges for code in part.requested()}
-    missing = tuple(sorted(code for code in requested if not _is_among(code, existing)))
-    return selected, missing
+    requested = {code: _tolerance(n) for part in ranges for n, code in enumerate(part.requested())}
+    missing = (code for code, near in requested.items() if not _is_among(code, existing, near))
+    return selected, tuple(sorted(missing))
 
 
 def describe_gaps(part: FrameRange, selected: Sequence[float], existing: Sequence[float]) -> str:
@@ -131,14 +131,23 @@ def find_holes(codes: Sequence[float]) -> list[tuple[float, float]]:
     return [(codes[n], codes[n + 1]) for n, step in enumerate(steps) if step > _GAP * usual]
 
 
-def _is_among(code: float, existing: Sequence[float]) -> bool:
-    place = bisect_left(existing, code - _TOLERANCE)
-    return place < len(existing) and existing[place] <= code + _TOLERANCE
+def _is_among(code: float, existing: Sequence[float], near: float) -> bool:
+    place = bisect_left(existing, code - near)
+    return place < len(existing) and existing[place] <= code + near
+
+
+def _tolerance(n_steps: int) -> float:
+    """What a timeCode may be off after steps of a length that is written with six decimals."""
+    return _TOLERANCE * max(1, n_steps)
 
 
 def format_time_code(time_code: float) -> str:
-    """A timeCode without needless decimals: 7 for 7.0, 7.5 for 7.5."""
-    return f"{round(time_code, 6):g}" if abs(time_code) < 1e6 else f"{time_code:.12g}"
+    """A timeCode without needless decimals, as ``parse_frames`` reads it.
+
+    >>> format_time_code(7.0), format_time_code(7.5), format_time_code(34 / 11)
+    ('7', '7.5', '3.090909')
+    """
+    return f"{round(time_code, 6):.12g}"
 
 
 def format_time_codes(time_codes: Iterable[float]) -> str:

@@ -225,6 +225,6 @@ def _what(finding: Finding) -> tuple[object, ...]:
 
 def _line(finding: Finding) -> str:
     where = f"<{finding.prim_path}> " if finding.prim_path else ""
-    when = f"timeCode {finding.time_code:g} " if finding.time_code is not None else ""
+    when = f"{name_time_codes([finding.time_code])} " if finding.time_code is not None else ""
     printable = "".join(c if c.isprintable() else " " for c in finding.message)  # XML 1.0
     return f"{finding.severity} {where}{when}{printable}"

@@ -103,3 +103,12 @@ def test_a_time_code_is_written_as_people_write_it(code, text):
 )
 def test_some_are_taken_evenly_from_the_first_to_the_last(count: int, wanted: list[int]) -> None:
     assert spread(range(count)) == wanted
+
+
+@given(st.floats(-100, 100), st.floats(0.05, 50), st.integers(1, 60))
+def test_what_is_printed_selects_the_same_time_codes(first: float, step: float, count: int) -> None:
+    codes = [first + n * step for n in range(count)]
+    selected, missing = select_frames(parse_frames(format_time_codes(codes)), codes)
+    assert (list(selected), missing) == (codes, ())
+    for code in codes:
+        assert select_frames(parse_frames(format_time_code(code)), codes) == ((code,), ())

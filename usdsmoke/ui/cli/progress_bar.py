@@ -7,6 +7,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.runs.budget import Finding, finding_texts
 from usdsmoke.runs.progress import RunProgress
 from usdsmoke.ui.cli.text import format_seconds
@@ -101,7 +102,7 @@ def _where(report: RunProgress) -> str:
     if report.window is not None:
         where = f"window {report.window}: {where}"
     if report.step != "train":
-        where += f" (t={report.time_code:g})"
+        where += f" (t={format_time_code(report.time_code)})"
     if report.n_octaves:
         where += f" octave {report.octave + 1}/{report.n_octaves}"
     return where + (f" loss {report.loss:.3g}" if report.loss else "")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import count_text
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
-from usdsmoke.base.time_codes import find_holes, name_time_codes
+from usdsmoke.base.time_codes import find_holes, format_time_code, name_time_codes
 
 if TYPE_CHECKING:
     from usdsmoke.farm import JobBundle
@@ -206,7 +206,7 @@ _SEVERITIES = {"error": "error", "warn": "warning", "info": "note"}
 
 def _finding_line(finding: "Finding") -> str:
     where = f" <{finding.prim_path}>" if finding.prim_path else ""
-    when = f" timeCode {finding.time_code:g}" if finding.time_code is not None else ""
+    when = f" {name_time_codes([finding.time_code])}" if finding.time_code is not None else ""
     return f"{finding.severity:<5} {finding.rule}{where}{when}: {finding.message}"
 
 
@@ -226,7 +226,11 @@ def _inspected_volume(volume: Mapping[str, Any]) -> str:
     )
     lights = ", ".join(f"<{light['prim_path']}> ({light['type']})" for light in volume["lights"])
     others += f"; lights: {lights}" if lights else ""
-    span = f"{codes[0]:g} to {codes[-1]:g}" if volume["animated"] else "not animated"
+    span = (
+        f"{format_time_code(codes[0])} to {format_time_code(codes[-1])}"
+        if volume["animated"]
+        else "not animated"
+    )
     return f"Volume <{volume['prim_path']}>: {count_text(len(codes), 'frame')}, {span}{others}"
 
 
@@ -240,7 +244,7 @@ def _inspected_field(
     kind = f"{grid.get('type', '?')}{' (half)' if grid.get('half') else ''}"
     voxels = grid.get("active_voxels")
     return (
-        f"{frame['time_code']:g}",
+        format_time_code(frame["time_code"]),
         name,
         label,
         kind,
