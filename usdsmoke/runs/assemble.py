@@ -304,21 +304,29 @@ def _smoke_names(volume: VolumePlan) -> list[str]:
 
 def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
     """What a run of other frames of the shot would have to set for the same look."""
-    voxel, size = scene["reference_voxel_size"], used_style_size(volume, scene)
+    voxel, steps = scene["reference_voxel_size"], volume.config.optimize.steps
+    values = {"style.size": used_style_size(volume, scene), "optics.thicken": 1.0}
+    if "colour" in steps:
+        values["optics.gamma"] = scene["gamma_w"] * voxel
+    if "shape" in steps:
+        values["optics.gamma_shape"] = scene["gamma_w_shape"] * voxel
+    if scene.get("knee"):
+        values |= {"optics.thicken": scene["thicken"], "optics.knee": scene["knee"]}
+    options = " ".join(f"--set {name}={value:.6g}" for name, value in sorted(values.items()))
     return (
-        f"<{volume.source.prim_path}>: the opacity was measured on these frames. To make other "
-        "frames of the shot alike in another folder, set "
-        f"optics.gamma={scene['gamma_w'] * voxel:.6g} and "
-        f"optics.gamma_shape={scene['gamma_w_shape'] * voxel:.6g}{_curve(scene)}, the gammas per "
-        f"voxel (gamma_w is per stage unit), and style.size={size:.6g}"
+        f"<{volume.source.prim_path}>: opacity and stroke size were measured on these frames. "
+        f"Other frames of the shot look alike in another folder with {options}"
     )
 
 
-def _curve(scene: Mapping[str, Any]) -> str:
-    """The settings of the curve that thickens thin smoke, behind others."""
-    if not scene.get("knee"):
-        return " and optics.thicken=1"
-    return f" and optics.thicken={scene['thicken']:.6g} and optics.knee={scene['knee']:.6g}"
+def _thickened(scene: Mapping[str, Any], volume: VolumePlan) -> str:
+    """That the density is another one, where nobody has asked for it; "" where it is not."""
+    if volume.config.optics.thicken is not None or not scene.get("knee"):
+        return ""
+    return (
+        f"<{volume.source.prim_path}>: its thin smoke is up to {scene['thicken']:.3g} times as "
+        "dense as in the source, so that it can be painted. optics.thicken=1 leaves it as it is"
+    )
 
 
 def _draw_sheets(opened: OpenRun, tell: RunProgressCallback) -> tuple[str, ...]:
@@ -360,6 +368,7 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
         if measured_on_part(volume)
     ]
+    found += filter(None, map(_thickened, run.scenes, plan.volumes))
     found += [
         f"<{volume.source.prim_path}>: {_exposed(scene['stops'])}"
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
