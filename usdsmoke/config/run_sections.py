@@ -100,7 +100,8 @@ class OptimizeConfig(Section):
         "a quarter of an octave is a plateau; the learning rate then falls early, and the octave "
         "ends after that. 0: never", ge=0)
     strength: float = setting(
-        1.0, "share of the effect that is kept; 0 returns the source",
+        1.0, "share of the displacement and of the brightness of colours that is kept; 0 returns "
+        "the source's density without colours",
         ge=0, le=1, request="strength", control="strength")
     error_budget: bool = setting(
         True, "estimate the remaining errors from a few images of every finished frame")

@@ -155,7 +155,8 @@ def train(
         scene = measure_scenes(reader, job)[job.plan.volumes.index(volume)]
         found = _train(job, reader, (volume, training.frames, scene), training.n_iterations, tell)
     except KeyboardInterrupt:
-        raise Interrupted(f"stopped. {target} is unchanged.") from None
+        was = f"{target} is unchanged" if target.exists() else "No file was written"
+        raise Interrupted(f"stopped. {was}.") from None
     trained = found.trained
     if trained.misfit:
         raise FeatureError(

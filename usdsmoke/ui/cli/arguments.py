@@ -139,7 +139,8 @@ def _add_train(commands: Any) -> None:
         "--iterations",
         type=count_value,
         metavar="N",
-        help="largest number of training iterations (default: 1200)",
+        help="length of the training, as iterations on small smoke (default: 1200); large smoke "
+        "takes fewer of them: the plan tells how many",
     )
     _add_dry_run(parser)
 

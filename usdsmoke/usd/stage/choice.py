@@ -34,7 +34,8 @@ def choose_volumes(
     if is_look_layer(stage.GetRootLayer()):
         raise VolumeNotFound(
             f"{stage.GetRootLayer().realPath} is a look layer by itself, without the smoke that it "
-            "belongs to. Use the root layer that was written beside it, NAME_look.usda."
+            "belongs to. Use the stage that was written beside it, NAME_look.usda or, in mode "
+            "reference, NAME_asset.usda."
         )
     raise VolumeNotFound(
         f"no Volume on the stage {stage.GetRootLayer().identifier}. Add a prim of type Volume "

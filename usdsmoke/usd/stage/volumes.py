@@ -95,17 +95,15 @@ def find_volumes(
         problems: gets a sentence for each Volume, field or timeCode that cannot be used and is left
             out; None raises an error instead.
         copied: ``layer.copy_fields``.
-        with_instances: whether Volumes inside instances are taken: they can be drawn, not changed.
+        with_instances: take Volumes inside instances too; they can be drawn, not changed.
 
     Raises:
         ConfigError: ``frames`` cannot be read, or a Volume asks for what there is not.
         VolumeNotFound: a named prim is missing or no Volume, or the stage has no Volume at all.
-        FieldNotFound: the density's relationship or its field prim is missing, or the mask's
-            relationship leads to no field prim.
+        FieldNotFound: a relationship of the density or mask, or its field prim, is missing.
         AssetNotResolved: a selected file cannot be read from disk, or the mask has none.
-        StageError: a rate or unit of the stage is not positive, a Volume is an instance proxy
-            without ``with_instances``, or a timeCode is asked for that does not exist and
-            ``allow_missing`` is off.
+        StageError: a rate or unit of the stage is not positive, a Volume is an instance proxy, or a
+            timeCode is asked for that does not exist and ``allow_missing`` is off.
     """
     _check_units(stage)
     ranges = parse_frames(config.frames)
