@@ -62,7 +62,7 @@ def test_the_rules_stand_in_usds_own_registry():
     assert register_validators() == names
     registry = UsdValidation.ValidationRegistry()
     assert all(registry.HasValidator(name) for name in names)
-    assert len(names) == 24
+    assert len(names) == 25
     metadata = registry.GetValidatorMetadata(PREFIX + "GridMissing")
     assert "usdsmoke" in metadata.GetKeywords()
     assert metadata.GetSchemaTypes() == ["UsdVolVolume"]

@@ -81,6 +81,21 @@ def test_a_layer_over_the_look_may_name_its_files_at_another_place(tmp_path):
     assert "LookOverridden" not in {item.rule for item in ours(files.root_stage)}
 
 
+def test_a_look_whose_volume_has_gone_is_found(tmp_path):
+    stage_file = plume_stage(tmp_path)
+    files = make_look(stage_file, tmp_path / "out", frames="1-2", ours=True)
+    source = Usd.Stage.Open(str(stage_file))
+    source.GetPrimAtPath("/World/smoke").SetActive(False)
+    source.GetRootLayer().Save()
+    (found,) = (item for item in ours(files.root_stage) if item.rule == "LookWithoutVolume")
+    assert (found.severity, found.prim_path) == (Severity.ERROR, "/World/smoke")
+    source.GetRootLayer().Clear()
+    source.GetRootLayer().Save()
+    found = [item.rule for item in ours(files.root_stage)]
+    assert "LookWithoutVolume" in found
+    assert not [item for item in ours(files.look_layer) if item.rule == "LookWithoutVolume"]
+
+
 def test_a_shader_of_a_renderer_that_is_not_installed_is_a_warning(tmp_path):
     stage_file = plume_stage(tmp_path)
     shader = """

@@ -8,7 +8,7 @@
   GridTransformMismatch, FieldPlaceDiffers, RequestInvalid, RequestNotApplied, RequestMisplaced
 - `fixers`: what can be mended without a decision
 - `staleness`: whether the source has moved on since a look was made
-- `result_rules`: GridHashMismatch, LookOverridden, LookStale, ResultChanged
+- `result_rules`: GridHashMismatch, LookOverridden, LookStale, LookWithoutVolume, ResultChanged
 
 The words of a rule's message are in the rule's file. Four rules repeat the error of a reader
 instead, so that validating and stylizing give one reason:

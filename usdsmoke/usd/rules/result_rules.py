@@ -6,7 +6,7 @@ from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
-from pxr import Ar, Gf, Sdf, Usd
+from pxr import Ar, Gf, Sdf, Usd, UsdVol
 
 from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageError
 from usdsmoke.base.record_format import hash_file
@@ -15,6 +15,7 @@ from usdsmoke.usd.field_samples import field_targets
 from usdsmoke.usd.layer_record import LAYER_HASH, layer_digest, read_record, record_values
 from usdsmoke.usd.rules.facts import Problem, Severity, collect_fields, grouped
 from usdsmoke.usd.rules.staleness import rewritten_sources, switched_variants
+from usdsmoke.usd.schema import LOOK_API
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
 from usdsmoke.vdb.header import read_header
 
@@ -136,6 +137,29 @@ def check_stale(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
             else Problem(Severity.ERROR, where, f"{text}. Stylize it again.")
             for is_same, text in found
         ]
+    return problems
+
+
+def check_volumes_of_looks(stage: Usd.Stage) -> list[Problem]:
+    """The Volumes of the looks in a stage's own layers are on the stage and active."""
+    problems = []
+    for layer in stage.GetLayerStack(includeSessionLayers=False):
+        if layer == stage.GetRootLayer() or not record_values(layer):
+            continue  # a look layer by itself has no Volumes
+        paths: list[Sdf.Path] = []
+        layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
+        for path in paths:
+            schemas = layer.GetPrimAtPath(path) and layer.GetPrimAtPath(path).GetInfo("apiSchemas")
+            if not (schemas and LOOK_API in schemas.GetAppliedItems()):
+                continue
+            prim = stage.GetPrimAtPath(path)
+            if prim and prim.IsActive() and prim.IsA(UsdVol.Volume):
+                continue
+            text = (
+                f"{layer.GetDisplayName()} is a look of the Volume <{path}>, which the stage does "
+                "not have. Select the variant that has it, activate it, or leave the look out."
+            )
+            problems.append(Problem(Severity.ERROR, str(path) if prim else "/", text))
     return problems
 
 

@@ -93,6 +93,12 @@ _PRIM_RULES: dict[str, tuple[PrimRule, str]] = {
         "UsdSmokeStyleAPI is applied to Volumes only.",
     ),
 }
+_STAGE_RULES = {
+    "LookWithoutVolume": (
+        result_rules.check_volumes_of_looks,
+        "The Volumes of a look are on the stage.",
+    )
+}
 _LAYER_RULES = {
     "ResultChanged": (
         result_rules.check_layer_results,
@@ -140,7 +146,17 @@ def register_validators() -> list[str]:
                 name=PREFIX + name, keywords=["usdsmoke", "UsdVol"], doc=doc
             )
             registry.RegisterLayerValidator(metadata, _layer_task(name, layer_rule))
-    return [PREFIX + name for name in (*_VOLUME_RULES, *_PRIM_RULES, *_LAYER_RULES)]
+    for name, (stage_rule, doc) in _STAGE_RULES.items():
+        if not registry.HasValidator(PREFIX + name):
+            metadata = module.ValidatorMetadata(
+                name=PREFIX + name, keywords=["usdsmoke", "UsdVol"], doc=doc
+            )
+            registry.RegisterStageValidator(metadata, _stage_task(name, stage_rule))
+    return [PREFIX + name for name in _own_rules()]
+
+
+def _own_rules() -> list[str]:
+    return [*_VOLUME_RULES, *_PRIM_RULES, *_STAGE_RULES, *_LAYER_RULES]
 
 
 def check_rules(names: Iterable[str]) -> None:
@@ -167,10 +183,9 @@ def check_rules(names: Iterable[str]) -> None:
             close = difflib.get_close_matches(name, sorted(known), n=3)
             advice = f"Did you mean {' or '.join(close)}?" if close else ""
             if not close:
-                own = sorted((*_VOLUME_RULES, *_PRIM_RULES, *_LAYER_RULES))
                 advice = (
                     "Rules of OpenUSD have two parts, as they are printed: VALIDATOR.ERROR. "
-                    f"usdsmoke's own rules: {', '.join(own)}."
+                    f"usdsmoke's own rules: {', '.join(sorted(_own_rules()))}."
                 )
             raise ConfigError(f"there is no rule {name!r}. {advice}")
 
@@ -289,6 +304,19 @@ def _prim_task(
             _error(name, item, (prim.GetStage(), Sdf.Path(item.prim_path)))
             for item in rule(prim, time_range.GetInterval())
         ]
+
+    return task
+
+
+def _stage_task(
+    name: str, rule: Callable[[Usd.Stage], list[Problem]]
+) -> Callable[
+    [Usd.Stage, "UsdValidation.ValidationTimeRange"], list["UsdValidation.ValidationError"]
+]:
+    def task(
+        stage: Usd.Stage, _time_range: "UsdValidation.ValidationTimeRange"
+    ) -> list["UsdValidation.ValidationError"]:
+        return [_error(name, item, (stage, Sdf.Path(item.prim_path))) for item in rule(stage)]
 
     return task
 
