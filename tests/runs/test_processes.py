@@ -84,11 +84,17 @@ def test_what_ends_a_process_ends_the_run_before_it_is_assembled(
     assert -1.0 not in told
 
 
-def test_ctrl_c_ends_the_processes(tmp_path, monkeypatch) -> None:
+@pytest.mark.parametrize(
+    ("has_begun", "told"), [(True, "0 of 4 windows finished"), (False, "Nothing was left")]
+)
+def test_ctrl_c_ends_the_processes(tmp_path, monkeypatch, has_begun: bool, told: str) -> None:
+    if has_begun:
+        (tmp_path / "vdb/key").mkdir(parents=True)
+        (tmp_path / "vdb/key/run.json").touch()
     alarm = threading.Timer(3.0, os.kill, (os.getpid(), signal.SIGINT))
     alarm.start()
     began = time.monotonic()
-    with pytest.raises(Interrupted, match="0 of 4 windows finished"):
+    with pytest.raises(Interrupted, match=told):
         start(monkeypatch, StandIn(tmp_path, what="wait"), 2, [])
     assert time.monotonic() - began < 30
     alarm.join()

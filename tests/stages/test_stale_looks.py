@@ -20,7 +20,7 @@ from tests.fixtures.usd_fixtures import (
 from usdsmoke import provenance, verify
 from usdsmoke.pipeline import plan
 from usdsmoke.ui.cli.main import main
-from usdsmoke.usd.gate import validate_look
+from usdsmoke.usd.gate import stale_looks, validate_look
 from usdsmoke.usd.rules import Severity, validate
 
 pytestmark = pytest.mark.usefixtures("core")
@@ -86,7 +86,8 @@ def test_a_switched_variant_is_named_by_validate_and_verify(tmp_path: Path) -> N
     assert kinds["stage-variant"].expected == "the variant </World>{sim} takeB"
     assert kinds["stage-variant"].found == "takeA"
     assert "timeCodes 1,2" in kinds["stage-files"].found
-    assert main(["validate", "--look-only", str(result.root_stage)]) == 1
+    for options in ([], ["--look-only"]):
+        assert main(["validate", *options, str(result.root_stage)]) == 1
 
 
 def test_a_republished_cache_is_named_with_its_date(tmp_path: Path) -> None:
@@ -244,6 +245,7 @@ def test_frames_that_the_source_gets_later_make_a_look_stale(tmp_path: Path) -> 
     Sdf.Layer.FindOrOpen(str(shot.stage)).Reload(True)
     (found,) = [item for item in validate_look(result.root_stage)[0] if item.rule == "LookStale"]
     assert found.severity == "error" and "timeCode 3" in found.message
+    assert [item for item in stale_looks(result.root_stage) if item.rule == "LookStale"] == [found]
 
 
 @needs_usd(26, 5)

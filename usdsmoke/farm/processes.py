@@ -12,6 +12,7 @@ from dataclasses import replace
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
+from pathlib import Path
 
 from usdsmoke.base.errors import ClusterError, Interrupted, PlanError, UsdSmokeError
 from usdsmoke.base.machine import (
@@ -20,6 +21,7 @@ from usdsmoke.base.machine import (
     seems_to_have_gpu,
     usable_cpus,
 )
+from usdsmoke.base.naming import find_run_files
 from usdsmoke.farm.tasks import Tasks, divide_job
 from usdsmoke.pipeline import (
     Request,
@@ -103,9 +105,15 @@ def stylize_in_processes(
         pool.run([None], 1)
         pool.run(list(tasks.windows), n_processes)
     except KeyboardInterrupt:
+        pool.end()
+        output = Path(tasks.request.output)
+        if not find_run_files(output):
+            raise Interrupted(
+                "stopped before anything was done. Nothing was left behind."
+            ) from None
         raise Interrupted(
-            f"stopped with {pool.n_done} of {len(tasks.windows)} windows finished in "
-            f"{tasks.request.output}. Run the same command again to continue."
+            f"stopped with {pool.n_done} of {len(tasks.windows)} windows finished in {output}. "
+            "Run the same command again to continue."
         ) from None
     finally:
         pool.end()

@@ -52,6 +52,21 @@ def validate_look(
     return [*_switched(source, composed), *_added(source, composed), *own], of_source
 
 
+def stale_looks(stage: str | os.PathLike[str]) -> list[Finding]:
+    """Looks of a stage whose source has other files or more timeCodes than it had then.
+
+    The stage without its looks tells, so this is no rule of a validator.
+    """
+    composed = open_stage(stage)
+    if _has_packed_look(composed) or not any(map(record_values, composed.GetUsedLayers())):
+        return []
+    try:
+        source = open_original(stage)
+    except UsdSmokeError:
+        return []  # a look layer by itself
+    return [*_switched(source, composed), *_added(source, composed)]
+
+
 @readable_values()
 def write_mends(stage_file: Path, target: Path) -> list[Finding]:
     """A new layer above a stage that mends what can be mended; not written if that is nothing.

@@ -221,32 +221,34 @@ def _add_preview(commands: Any) -> None:
         "that have colours; all for an animation; the middle for a turntable)",
     )
     add_set(parser, "a setting of the section 'stage', such as stage.density=fog; may be repeated")
-    parser.add_argument(
+    seen_from = parser.add_mutually_exclusive_group()
+    seen_from.add_argument(
         "--camera", default="", metavar="PATH", help="a Camera prim (default: a fitted front view)"
     )
-    parser.add_argument(
-        "--compare", action="store_true", help="also draw the stage without its look"
-    )
-    parser.add_argument(
-        "--width",
-        type=int,
-        metavar="N",
-        help="width of a picture in pixels (default: the longer side has 512)",
-    )
-    parser.add_argument("--size", type=size_value, metavar="WxH", help="width and height in pixels")
-    parser.add_argument(
-        "--background",
-        choices=("grey", "black", "none"),
-        default="grey",
-        help="background of all but OpenEXR; none: transparent (single PNGs only)",
-    )
-    parser.add_argument(
+    seen_from.add_argument(
         "--turntable",
         type=count_value,
         nargs="?",
         const=36,
         metavar="N",
         help="draw one frame N times (default: 36), evenly around the up axis",
+    )
+    parser.add_argument(
+        "--compare", action="store_true", help="also draw the stage without its look"
+    )
+    pixels = parser.add_mutually_exclusive_group()
+    pixels.add_argument(
+        "--width",
+        type=int,
+        metavar="N",
+        help="width of a picture in pixels (default: the longer side has 512)",
+    )
+    pixels.add_argument("--size", type=size_value, metavar="WxH", help="width and height in pixels")
+    parser.add_argument(
+        "--background",
+        choices=("grey", "black", "none"),
+        default="grey",
+        help="background of all but OpenEXR; none: transparent (single PNGs only)",
     )
     parser.add_argument(
         "--threads", type=count_value, default=1, metavar="N", help="CPU threads (default: 1)"

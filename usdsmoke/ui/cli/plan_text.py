@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from usdsmoke.base.errors import REFUSED, count_text
-from usdsmoke.base.time_codes import format_time_codes, name_time_codes
+from usdsmoke.base.time_codes import format_time_code, format_time_codes, name_time_codes
 from usdsmoke.ui.cli.text import box_text, format_seconds
 
 if TYPE_CHECKING:
@@ -16,6 +16,7 @@ _MOST_LINES = 10
 _MOST_VOLUMES = 3  # that have a line each
 _WIDTH = 100
 _SHORTEST = 30  # letters that a shortened sentence keeps at least
+_MOST_NAMED = 24  # letters of timeCodes in the line of a Volume
 _SENTENCE_END = re.compile(r"\. (?=[A-Z])")
 _PATH = re.compile(r"</[^>]*>")
 _CLAUSE_END = re.compile(r"[,;:.](?= )")
@@ -122,8 +123,12 @@ def _volume_lines(volumes: Sequence["VolumePlan"]) -> list[str]:
 
 def _volume_line(volume: "VolumePlan") -> str:
     largest = max(volume.frames, key=lambda frame: frame.size.active_voxels)
+    codes = [frame.source.time_code for frame in volume.frames]
+    named = format_time_codes(codes)
+    if len(named) > _MOST_NAMED:
+        named = f"from {format_time_code(codes[0])} to {format_time_code(codes[-1])}"
     return (
-        f"<{volume.source.prim_path}>: {count_text(len(volume.frames), 'frame')} in "
+        f"<{volume.source.prim_path}>: {count_text(len(codes), 'frame')} ({named}) in "
         f"{count_text(len(volume.windows), 'window')}, up to {largest.size.active_voxels:,} "
         f"voxels in {box_text(largest.size.box)}"
     )

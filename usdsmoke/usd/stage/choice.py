@@ -34,8 +34,8 @@ def choose_volumes(
     if is_look_layer(stage.GetRootLayer()):
         raise VolumeNotFound(
             f"{stage.GetRootLayer().realPath} is a look layer by itself, without the smoke that it "
-            "belongs to. Use the stage that was written beside it, NAME_look.usda or, in mode "
-            "reference, NAME_asset.usda."
+            "belongs to. Use the root layer that was written beside it, NAME_look.usda, or the "
+            "asset, NAME_asset.usda."
         )
     raise VolumeNotFound(
         f"no Volume on the stage {stage.GetRootLayer().identifier}. Add a prim of type Volume "
@@ -78,9 +78,22 @@ def _composition_hint(stage: Usd.Stage) -> str:
     # OpenUSD 24.05 lacks the function. It prints the errors when it opens the stage.
     errors = stage.GetCompositionErrors() if hasattr(stage, "GetCompositionErrors") else []
     if not errors:
-        return "; usdsmoke does not turn meshes or particles into smoke"
+        return _where_it_may_be(stage)
     first = " ".join(str(errors[0]).split()).rstrip(".")
     return f", or repair the stage, of which a part is missing: {first}"
+
+
+def _where_it_may_be(stage: Usd.Stage) -> str:
+    """What may hide a Volume: a prim that is not active, or another variant."""
+    every = list(Usd.PrimRange.Stage(stage, Usd.PrimAllPrimsPredicate))
+    if inactive := [prim for prim in every if not prim.IsActive()]:
+        return f", or activate <{inactive[0].GetPath()}>"
+    for prim in every:
+        sets = prim.GetVariantSets()
+        for name in sets.GetNames():
+            here = f"<{prim.GetPath()}>{{{name}={sets.GetVariantSelection(name)}}}"
+            return f", or select another variant than {here}"
+    return "; usdsmoke does not turn meshes or particles into smoke"
 
 
 def _named_volumes(
