@@ -63,7 +63,8 @@ class Hues:
     def nearest(self, colours: Tensor, before: Tensor | None = None) -> Tensor:
         """Colours [N 3] with chroma that the styles have at their luma, which stays.
 
-        What is farther than ``NEAR`` from the nearest such chroma is brought up to there. A luma
+        What is farther than ``NEAR`` from the nearest such chroma is brought up to there; styles
+        without colour, which have grey alone, leave no chroma. A luma
         that the styles have nowhere, such as one brighter than all of them, takes the chroma of the
         nearest one that they have.
 
@@ -77,7 +78,7 @@ class Hues:
 
     def bring(self, colours: Tensor, before: Tensor | None = None, limit: float = math.inf) -> None:
         """``nearest`` in place, where colours change up to a limit; the others are not touched."""
-        table, is_far = self._table.to(colours), self._is_far.to(colours.device)
+        table, is_far, near = self._table.to(colours), self._is_far.to(colours.device), self._near
 
         def bring_part(part: slice) -> None:
             far = _far_of(colours[part], is_far)
@@ -86,22 +87,29 @@ class Hues:
                 changed = ((here - before[part].index_select(0, far)).abs() > CHANGED).any(dim=1)
                 far, here = far[changed], here[changed]
             if len(far):
-                colours[part].index_copy_(0, far, _brought(here, table).clamp_max_(limit))
+                colours[part].index_copy_(0, far, _brought(here, table, near).clamp_max_(limit))
 
         share_rows(bring_part, len(colours), CHUNK_ROWS, colours.device)
+
+    @cached_property
+    def _near(self) -> float:
+        """How far from a hue of the styles colours may be."""
+        has_hue = self._shares.sum(0) > 0
+        has_hue[REACH, REACH] = False  # grey
+        return NEAR if has_hue.any() else 0.0
 
     @cached_property
     def _is_far(self) -> Tensor:
         """Whether colours between half a step and the next ones may be far from a hue, flat.
 
-        A mean of ways that are no longer than ``NEAR`` is no longer either.
+        A mean of ways that are no longer than that is no longer either.
         """
         shape = self._table.shape[:3]
         halves = tuple(2 * n - 1 for n in shape)
         way = F.interpolate(
             self._table.movedim(-1, 0)[None], size=halves, mode="trilinear", align_corners=True
         )[0]
-        far = (way.square().sum(0) > NEAR**2).float()[None]
+        far = (way.square().sum(0) > self._near**2).float()[None]
         ahead = F.pad(far, (0, 1, 0, 1, 0, 1))  # the last nodes are by themselves
         return F.max_pool3d(ahead, 2, stride=1).flatten() > 0
 
@@ -137,12 +145,12 @@ def _far_of(colours: Tensor, is_far: Tensor) -> Tensor:
     return is_far[cell].nonzero().squeeze(1)
 
 
-def _brought(colours: Tensor, table: Tensor) -> Tensor:
-    """Colours [N 3] with the nearest chroma that the table knows for them, up to ``NEAR``."""
+def _brought(colours: Tensor, table: Tensor, near: float) -> Tensor:
+    """Colours [N 3] with the nearest chroma that the table knows for them, up to ``near``."""
     places = _places(colours)
     way = sample_linear(table, places, boundary="nearest")
-    far = way.square().sum(1, keepdim=True).sqrt().clamp_min(NEAR)
-    red, blue = (STEP * (places[:, 1:] - REACH) + (1 - NEAR / far) * way).unbind(1)
+    far = way.square().sum(1, keepdim=True).sqrt().clamp_min(max(near, torch.finfo(way.dtype).tiny))
+    red, blue = (STEP * (places[:, 1:] - REACH) + (1 - near / far) * way).unbind(1)
     of_red, of_green, of_blue = REC709_WEIGHTS
     green = -(of_red * red + of_blue * blue) / of_green
     return (luma(colours)[:, None] + torch.stack([red, green, blue], 1)).clamp_min(0)
