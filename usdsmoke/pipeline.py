@@ -17,7 +17,14 @@ from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summar
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
 from usdsmoke.runs.coarse import run_coarse_step
 from usdsmoke.runs.opened import OpenRun
-from usdsmoke.runs.opening import Course, continued, join_run, open_run, open_run_to_assemble
+from usdsmoke.runs.opening import (
+    FORCE,
+    Course,
+    continued,
+    join_run,
+    open_run,
+    open_run_to_assemble,
+)
 from usdsmoke.runs.progress import RunProgressCallback, ignore_progress
 from usdsmoke.runs.run_machine import machine_of, processor_note
 from usdsmoke.runs.train import record_scenes
@@ -298,9 +305,17 @@ def assemble(
 
 
 def _task_result(opened: OpenRun, window: int | None, was_done: bool) -> TaskResult:
-    """A finished task, with a note where this processor differs from the run's."""
+    """A finished task, with notes where it was done already, or on another kind of processor."""
     run = opened.run
-    notes = () if was_done else processor_note(run, machine_of(opened.job).processor)
+    if not was_done:
+        notes = processor_note(run, machine_of(opened.job).processor)
+    elif opened.job.request.force:
+        notes = (
+            f"{FORCE} does not redo a task that is done with these settings. To redo frames of a "
+            "result, select them with stage.frames (--frames), without a window.",
+        )
+    else:
+        notes = ()
     return TaskResult(run.folder, run.manifest_path(window), was_done, opened.plan, notes)
 
 

@@ -240,3 +240,13 @@ def test_a_whole_run_and_an_assembly_keep_out_of_a_worker_at_work(
     windows_in(farm, [0])
     manifests = sorted(path.name for path in run_folder(farm).glob("windows/*.json"))
     assert manifests == ["0000.json", "0002.json"]
+
+
+@pytest.mark.usefixtures("core")
+def test_force_does_not_redo_a_finished_window_and_says_so(farm: Shot) -> None:
+    windows_in(farm, [0])
+    for force in (False, True):
+        request = Request(farm.stage, farm.style, farm.output, WINDOWS, force=force)
+        again = run_window(request, 0)
+        assert again.was_done
+        assert any("--force" in text for text in again.warnings) == force

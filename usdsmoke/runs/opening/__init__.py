@@ -14,9 +14,10 @@ from usdsmoke.runs.opening.choose import (
 )
 from usdsmoke.runs.opening.course import Course
 from usdsmoke.runs.opening.growth import continued, find_growth
-from usdsmoke.runs.opening.refusals import refuse_result
+from usdsmoke.runs.opening.refusals import FORCE, refuse_result
 
 __all__ = [
+    "FORCE",
     "Course",
     "continued",
     "find_growth",
