@@ -185,7 +185,7 @@ def _added(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:
         if LOOK_API in schemas and path in then and (more := codes - then[path]):
             text = (
                 f"the source has {name_time_codes(sorted(more))} since the look was made, and "
-                "the look holds its last frame there. Make it longer, with more --frames."
+                "the look hides them. Make it longer, with more --frames."
             )
             found.append(Finding(Severity.ERROR, "LookStale", path, None, text))
     return found

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from usdsmoke.runs.budget import rows
 
 FINE, LOOK = "fine", "look at it"
+_NEAR = 0.1  # share of its bound above which an error is told with it
 _LIGHT = "light and opacity"  # findings that belong to no error
 _PARTS = {
     "detail of the pictures": (rows.QUADRATURE, rows.RESOLUTION, rows.PIXEL_FILTER),
@@ -77,7 +78,7 @@ def judge_parts(
             continue
         worst = min(names, key=lambda name: (urgency(verdict_of(name)), -_share(name, largest)))
         figure = largest.get(worst)
-        why = causes.get(worst) or f"{figure:.2%} {_meaning(worst)}"
+        why = causes.get(worst) or f"{figure:.2%} {_meaning(worst)}{_bound(worst, largest)}"
         found.append(Verdict(about, verdict_of(worst), why, worst, figure))
     return tuple(sorted(found, key=lambda v: (urgency(v.verdict), -_share(v.error, largest))))
 
@@ -91,6 +92,11 @@ def _meaning(name: str) -> str:
     text = next((text for start, text in _MEANINGS.items() if name.startswith(start)), "")
     span = name.rpartition(", ")[2]  # "8 frames", in which more changes than from one to the next
     return f"{text} within {span}" if span.endswith("frames") else text
+
+
+def _bound(name: str, largest: Mapping[str, float]) -> str:
+    """Up to where an error is fine, if it is not far below."""
+    return f"; fine up to {100 * _MOST[name]:.3g}%" if _share(name, largest) > _NEAR else ""
 
 
 def urgency(verdict: str) -> int:
