@@ -3,10 +3,12 @@
 All formulae and their constants are in this file. N is the number of active voxels and B that of
 the box (both after refinement), M the voxels of the mask's box (which is not refined), P the pixels
 of a picture, L the views in the pool, V those an iteration draws, S the style images, and s an
-octave's linear resolution as a share of the full one. In ``work``, N, B and P are the visible ones,
-and blocks of voxels count as one where a pixel holds them, or where the shape step moves them:
+octave's linear resolution as a share of the full one. J is N with blocks of voxels counted as one
+where a pixel holds them. In ``work``, N, B and P are the visible ones, and such blocks count as
+one, also those that the shape step moves:
 
-    memory  = BASE + B BOX_BYTES + M MASK_BYTES + N (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
+    memory  = BASE + B BOX_BYTES + M MASK_BYTES + N FINE_BYTES + J (VOXEL_BYTES + L VIEW_BYTES) +
+                  PIXEL_BYTES P V
     work    = sum over steps and octaves of
                   (min(L, n V) VIEW_TIME N + MAP_TIME N + BOX_TIME B) s^3 +
                   n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3) + MOVE_TIME N s^3)
@@ -70,6 +72,7 @@ BOX_BYTES_COLOUR = 8  # of each number beside the emission: written, and read ba
 BOX_BYTES_SHAPE = 110  # effect, potential and displacement, and the arrays of the transport
 BOX_BYTES_WARM = 90  # velocity, also in voxels per second; displacements of the frames beside it
 MASK_BYTES = 16  # as read, checked, clamped to [0, 1] and on the device
+FINE_BYTES = 60  # of a voxel that is written: its place, its colour, the voxels beside it
 VOXEL_BYTES = 700  # positions, unknowns with gradients and moments, maps between their levels
 VIEW_BYTES = 40  # four pixels and weights
 LEARN_BYTES = 1_000  # octaves of a network's frames and of the one that judges, their slopes
@@ -257,6 +260,12 @@ def _voxels_a_pixel(frame: FrameSize, config: Config) -> int:
     return max(1, round(max(frame.box) * config.grids.refine / config.views.image_size))
 
 
+def _joined(frame: FrameSize, config: Config) -> int:
+    """The voxels of a block that is optimised as one, because a pixel holds it."""
+    side = OCTAVE_SCALE ** int(math.log2(_voxels_a_pixel(frame, config)))
+    return int(side ** sum(n > 1 for n in frame.box))
+
+
 def _picture_pixels(frame: FrameSize, config: Config) -> float:
     """Pixels of a full-size picture: each is a whole number of voxels wide."""
     *_, middle, longest = sorted(frame.box)
@@ -278,10 +287,10 @@ def _frame_memory(frame: FrameSize, config: Config) -> float:
         per_box_voxel += BOX_BYTES_WARM
     per_voxel = VOXEL_BYTES + pool_size(config.views) * VIEW_BYTES
     pictures = PIXEL_BYTES * _picture_pixels(frame, config) * config.views.count
-    if config.optimize.trains:
-        per_voxel += LEARN_BYTES
+    training = LEARN_BYTES * active if config.optimize.trains else 0
     mask = MASK_BYTES * math.prod(frame.mask_box)
-    return BASE + per_box_voxel * box + mask + active * per_voxel + pictures
+    fine = active * FINE_BYTES + active / _joined(frame, config) * per_voxel
+    return BASE + per_box_voxel * box + mask + fine + pictures + training
 
 
 def _frame_seconds(
@@ -314,9 +323,8 @@ def _step_work(
     step: str, frame: FrameSize, config: Config, n_styles: int, octaves: tuple[float, float]
 ) -> float:
     """Seconds of one thread."""
-    joined = OCTAVE_SCALE ** int(math.log2(_voxels_a_pixel(frame, config)))  # into blocks
-    finer = joined ** sum(n > 1 for n in frame.box)
-    active, box = (frame.visible * n / finer for n in _refined(frame, config))
+    joined = _joined(frame, config)
+    active, box = (frame.visible * n / joined for n in _refined(frame, config))
     pixels = n_styles * PIXEL_TIME * _picture_pixels(frame, config) * frame.visible ** (2 / 3)
     above, finest = octaves
     is_warm = not frame.window_start

@@ -100,8 +100,8 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
         times, memory = price_of_detail(volume, parts)
         if memory <= (config.optimize.memory_limit_gib or available_memory_gib()):
             return [
-                f"grids.refine={parts} sharpens strokes of <{volume.source.prim_path}> in about "
-                f"{times:.2g} times its time: it has {longest} voxels along its longest side. It "
+                f"grids.refine={parts} sharpens strokes of <{volume.source.prim_path}>, in about "
+                f"{times:.2g} times its time. It has {longest} voxels along its longest side, and "
                 f"needs {memory:.1f} GiB of memory then"
             ]
     return []
@@ -198,8 +198,8 @@ def without_camera(config: Config, cameras: Sequence[str], is_thin: bool) -> Omi
     one = cameras[0] if len(cameras) == 1 else f"PATH (the stage has {len(cameras)} cameras)"
     return Omission(
         "views of a camera",
-        f"--camera {one} gives clearer marks in its picture and softer ones on other sides, and "
-        "stylizes only smoke in its frustum",
+        f"--camera {one} gives clearer marks in its picture. Other sides get softer ones, and "
+        "smoke outside its frustum stays as it is",
     )
 
 

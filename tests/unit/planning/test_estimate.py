@@ -200,6 +200,23 @@ def test_memory_is_above_what_was_measured_but_not_twice() -> None:
     assert 1.9 < found.memory_gib < 3.8  # GiB
 
 
+@pytest.mark.parametrize(
+    ("voxels", "box", "preset", "measured"),
+    [
+        (8_531_835, (221, 446, 228), "draft", 2.0),
+        (8_531_835, (221, 446, 228), "daily", 4.9),
+        (28_779_411, (339, 672, 342), "draft", 5.5),
+    ],
+)
+def test_memory_of_large_frames_is_above_what_was_measured_but_not_by_a_third(
+    voxels: int, box: tuple[int, int, int], preset: str, measured: float
+) -> None:
+    """GiB of the real plume with voxels of half and of a third of the size, which are joined."""
+    config = resolve_config([preset_file(preset)])
+    found = estimate_run([FrameSize(voxels, box)], config, threads=2)
+    assert measured < found.memory_gib < 1.34 * measured
+
+
 def test_a_slab_is_refined_in_its_plane_only() -> None:
     slab = FrameSize(10_000, (100, 100, 1))
     fine = resolve_config(["grids.refine=4"])
