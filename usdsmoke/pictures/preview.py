@@ -37,7 +37,7 @@ from usdsmoke.pictures.preview_request import (
 )
 from usdsmoke.pictures.preview_smoke import Smoke, is_uneven
 from usdsmoke.pictures.preview_volumes import find_smoke
-from usdsmoke.usd.stage import StageOrFile, open_original, open_stage, read_camera
+from usdsmoke.usd.stage import StageOrFile, open_look, open_stage, read_camera
 
 if TYPE_CHECKING:
     from pxr import Usd
@@ -91,6 +91,7 @@ def preview(
             - allow_missing: leave out requested timeCodes that do not exist.
             - compare: draw the stage without its looks as well.
             - prims: Volume prim paths; None means all.
+            - look: a look of an asset that has several; empty draws the one that is selected.
             - width: pixels; the height follows from the camera's film or the smoke.
             - size: width and height, pixels.
             - background: of all but OpenEXR: ``grey`` (dark), ``black`` or ``none`` (transparent;
@@ -168,10 +169,12 @@ def _time_codes(request: PreviewRequest, look: Smoke) -> list[float]:
 
 def _open(request: PreviewRequest) -> dict[str, Smoke]:
     """By label, in the order of drawing."""
-    look = _find(request, open_stage(request.stage))
+    stage = request.stage
+    shown = open_look(stage, request.look) if request.look else open_stage(stage)
+    look = _find(request, shown)
     if not request.compare:
         return {LOOK: look}
-    original = _find(request, open_original(request.stage))
+    original = _find(request, open_look(stage, ORIGINAL))
     return {ORIGINAL: original, LOOK: look}
 
 

@@ -31,6 +31,7 @@ class PreviewOptions(TypedDict, total=False):
     allow_missing: bool
     compare: bool
     prims: Sequence[str] | None
+    look: str
     width: int | None
     size: tuple[int, int] | None
     background: str
@@ -58,6 +59,7 @@ class PreviewRequest:
     allow_missing: bool = False  # leave out requested timeCodes that do not exist
     compare: bool = False  # draw the stage without its looks as well
     prims: Sequence[str] | None = None  # Volume prim paths; None means all
+    look: str = ""  # of an asset that has several; "" draws the one that is selected
     width: int | None = None  # pixels; the height follows from the camera's film or the smoke
     size: tuple[int, int] | None = None  # width and height, pixels
     background: str = BACKGROUNDS[0]  # of all but OpenEXR; none is transparent, for one PNG only

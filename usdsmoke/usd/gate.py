@@ -9,7 +9,7 @@ from pathlib import Path
 from pxr import Ar, Sdf, Usd, UsdUtils
 
 from usdsmoke.base.errors import OutputExists, UsdSmokeError
-from usdsmoke.base.naming import relative_asset_path
+from usdsmoke.base.naming import ORIGINAL, relative_asset_path
 from usdsmoke.base.publish import publish_file
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.config.run_sections import StageConfig
@@ -18,7 +18,7 @@ from usdsmoke.usd.layer_record import read_record, record_values
 from usdsmoke.usd.look import copy_stage_metadata
 from usdsmoke.usd.rules import Finding, Severity, mend, switched_files, validate
 from usdsmoke.usd.schema import LOOK_API
-from usdsmoke.usd.stage import find_volumes, open_original, open_stage
+from usdsmoke.usd.stage import find_volumes, open_look, open_stage
 
 
 def validate_look(
@@ -39,7 +39,7 @@ def validate_look(
     """
     composed = open_stage(stage)
     is_packed = _has_packed_look(composed)
-    source = _packed_source(composed) if is_packed else open_original(stage)
+    source = _packed_source(composed) if is_packed else open_look(stage, ORIGINAL)
     if _has_packed_look(source):
         return validate(stage), []
     known = {_what(finding) for finding in validate(source)}
@@ -61,7 +61,7 @@ def stale_looks(stage: str | os.PathLike[str]) -> list[Finding]:
     if _has_packed_look(composed) or not any(map(record_values, composed.GetUsedLayers())):
         return []
     try:
-        source = open_original(stage)
+        source = open_look(stage, ORIGINAL)
     except UsdSmokeError:
         return []  # a look layer by itself
     return [*_switched(source, composed), *_added(source, composed)]

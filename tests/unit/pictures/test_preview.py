@@ -16,6 +16,7 @@ from tests.fixtures.preview_fixtures import (
 from tests.fixtures.usd_fixtures import (
     density_prim,
     file_hashes,
+    make_look,
     plume_stage,
     volume_prim,
     world,
@@ -323,3 +324,19 @@ def test_a_request_that_cannot_be_fulfilled_hides_no_smoke(
     write_text(stage, text)
     assert asked in text
     assert preview(stage, tmp_path / "a.png", width=16).files == (tmp_path / "a.png",)
+
+
+# Which look of an asset is drawn
+
+
+def test_a_look_of_an_asset_is_drawn_by_its_name(tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    files = make_look(plume_stage(tmp_path, [1]), output, mode="reference", look="ember")
+    asset, before = files.root_stage, file_hashes(output)
+    ember = preview(asset, tmp_path / "a.exr", size=(61, 41), look="ember")
+    source = preview(asset, tmp_path / "b.exr", size=(61, 41), look="original")
+    assert ember.extinctions == {"/World/smoke": 0.5} != source.extinctions
+    assert file_hashes(output) == before
+    assert preview(asset, tmp_path / "c.exr", size=(61, 41)).extinctions == ember.extinctions
+    with pytest.raises(StageError, match=r"frost.*found: ember, original"):
+        preview(asset, tmp_path / "d.exr", look="frost")

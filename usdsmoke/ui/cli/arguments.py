@@ -234,6 +234,9 @@ def _add_preview(commands: Any) -> None:
         help="draw one frame N times (default: 36), evenly around the up axis",
     )
     parser.add_argument(
+        "--look", default="", metavar="NAME", help="a look of an asset (default: the selected one)"
+    )
+    parser.add_argument(
         "--compare", action="store_true", help="also draw the stage without its look"
     )
     pixels = parser.add_mutually_exclusive_group()

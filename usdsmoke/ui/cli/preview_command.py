@@ -31,6 +31,7 @@ def run_preview(arguments: argparse.Namespace) -> int:
             allow_missing=bool(arguments.allow_missing),
             compare=arguments.compare,
             prims=arguments.prim,
+            look=arguments.look,
             width=arguments.width,
             size=arguments.size,
             background=arguments.background,

@@ -18,7 +18,7 @@ from usdsmoke.usd.stage.choice import hidden_volumes
 from usdsmoke.usd.stage.composed import ComposedVolume, composed_volumes
 from usdsmoke.usd.stage.lights import lit_by
 from usdsmoke.usd.stage.opening import StageOrFile, layer_files, open_stage, stage_file
-from usdsmoke.usd.stage.originals import open_original
+from usdsmoke.usd.stage.originals import open_look
 from usdsmoke.usd.stage.source import read_source
 from usdsmoke.usd.stage.volumes import find_volumes
 
@@ -30,7 +30,7 @@ __all__ = [
     "hidden_volumes",
     "layer_files",
     "lit_by",
-    "open_original",
+    "open_look",
     "open_stage",
     "read_camera",
     "read_source",

@@ -61,19 +61,7 @@ def open_source(
     return stage, replace(found, notes=(*notes, *found.notes))
 
 
-def open_original(stage: StageOrFile) -> Usd.Stage:
-    """The stage as it is without usdsmoke's looks.
-
-    Of an asset the variant without a look is selected, in the session layer; look layers that are
-    in use after that are muted.
-
-    Args:
-        stage: a file, or an open stage, which stays as it is.
-
-    Raises:
-        StageError: the stage cannot be opened, no layer of it was made by usdsmoke, or its root
-            layer was, which cannot be muted.
-    """
+def _open_original(stage: StageOrFile) -> Usd.Stage:
     stage = _own_copy(stage)
     root = stage.GetRootLayer()
     if is_look_layer(root):
@@ -85,6 +73,39 @@ def open_original(stage: StageOrFile) -> Usd.Stage:
         raise StageError(
             f"no layer of the stage {root.identifier} was made by usdsmoke, so it has no look. "
             "Use a root layer such as NAME_look.usda."
+        )
+    return stage
+
+
+def open_look(stage: StageOrFile, name: str) -> Usd.Stage:
+    """The stage with one look of the assets that have several, or without usdsmoke's looks.
+
+    Args:
+        stage: a file, or an open stage, which stays as it is.
+        name: of the look, a variant of such assets, which is selected in the session layer.
+            ``ORIGINAL``: none; look layers that are in use after that are muted.
+
+    Raises:
+        StageError: the stage cannot be opened, or no asset has a look of this name. For
+            ``ORIGINAL``: no layer of it was made by usdsmoke, or its root layer was, which cannot
+            be muted.
+    """
+    if name == ORIGINAL:
+        return _open_original(stage)
+    stage, is_there, others = _own_copy(stage), False, set[str]()
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        for prim in list(stage.TraverseAll()):
+            if not prim or not _has_looks(prim):  # its own variants may have been its reason to be
+                continue
+            variants = prim.GetVariantSet(VARIANT_SET)
+            others |= set(variants.GetVariantNames())
+            if variants.HasAuthoredVariant(name):
+                is_there = variants.SetVariantSelection(name)
+    if not is_there:
+        found = f"found: {', '.join(sorted(others))}" if others else "it has no such asset"
+        raise StageError(
+            f"no asset on the stage {stage.GetRootLayer().identifier} has a look {name} ({found}). "
+            "Name one of its variants, or give the root layer of the look, NAME_look.usda."
         )
     return stage
 
