@@ -15,7 +15,7 @@ from usdsmoke.planning.output_folder import resolve_output
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summarize_result
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
-from usdsmoke.runs.coarse import run_coarse_step
+from usdsmoke.runs.coarse import run_coarse_step, share_before_windows
 from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.opening import (
     FORCE,
@@ -25,7 +25,7 @@ from usdsmoke.runs.opening import (
     open_run,
     open_run_to_assemble,
 )
-from usdsmoke.runs.progress import RunProgressCallback, ignore_progress
+from usdsmoke.runs.progress import RunProgressCallback, ignore_progress, share_of
 from usdsmoke.runs.run_machine import machine_of, processor_note
 from usdsmoke.runs.train import record_scenes
 from usdsmoke.runs.window import check_storage, hash_frames, stylize_windows
@@ -203,6 +203,7 @@ def run_coarse(
     request: Request,
     progress: RunProgressCallback | None = None,
     planned: _Planned | None = None,
+    of_run: bool = False,
 ) -> TaskResult:
     """The step that all windows of a run share, for a queue that runs them one by one.
 
@@ -212,6 +213,7 @@ def run_coarse(
         request: what is asked for; equal for all tasks of a run.
         progress: called often, with how far the step is.
         planned: called once with the plan.
+        of_run: tell how far the whole run is instead.
 
     Raises:
         UsdSmokeError: see ``usdsmoke.base.errors``.
@@ -220,6 +222,8 @@ def run_coarse(
     job, tell = _prepare(request, planned, whole=False), progress or ignore_progress
     with join_run(job, tell) as opened:
         opened.check_disk(())
+        if not of_run and (part := share_before_windows(opened.plan)):
+            tell = share_of(tell, 0.0, 1.0 / part)
         had_scenes = bool(opened.run.scenes)
         if not had_scenes:
             hash_frames(opened, opened.plan.tasks, tell)  # damage shows; the hashes are not used

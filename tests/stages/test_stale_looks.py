@@ -20,7 +20,7 @@ from tests.fixtures.usd_fixtures import (
 from usdsmoke import provenance, verify
 from usdsmoke.pipeline import plan
 from usdsmoke.ui.cli.main import main
-from usdsmoke.usd.gate import stale_looks, validate_look
+from usdsmoke.usd.gate import short_looks, validate_look
 from usdsmoke.usd.rules import Severity, validate
 
 pytestmark = pytest.mark.usefixtures("core")
@@ -245,7 +245,7 @@ def test_frames_that_the_source_gets_later_make_a_look_stale(tmp_path: Path) -> 
     Sdf.Layer.FindOrOpen(str(shot.stage)).Reload(True)
     (found,) = [item for item in validate_look(result.root_stage)[0] if item.rule == "LookStale"]
     assert found.severity == "error" and "timeCode 3" in found.message
-    assert [item for item in stale_looks(result.root_stage) if item.rule == "LookStale"] == [found]
+    assert [item for item in short_looks(result.root_stage) if item.rule == "LookStale"] == [found]
 
 
 @needs_usd(26, 5)

@@ -147,7 +147,8 @@ def format_time_code(time_code: float) -> str:
     >>> format_time_code(7.0), format_time_code(7.5), format_time_code(34 / 11)
     ('7', '7.5', '3.090909')
     """
-    return f"{round(time_code, 6):.12g}"
+    text = f"{time_code:.6f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
 
 
 def format_time_codes(time_codes: Iterable[float]) -> str:

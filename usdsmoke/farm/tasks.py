@@ -41,7 +41,7 @@ class Tasks:
             UsdSmokeError: the errors of ``run_window``.
         """
         if window is None:
-            run_coarse(self.request, progress)
+            run_coarse(self.request, progress, of_run=True)
         else:
             request = replace(self.request, force=False)
             run_window(request, window, progress, redo=window in self.redo)

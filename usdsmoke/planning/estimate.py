@@ -60,8 +60,10 @@ from usdsmoke.core.sequence.controls import (
 from usdsmoke.core.smoke.schedule import (
     MANY_VOXELS,
     OCTAVE_SCALE,
+    SIDEWAYS,
     network_views,
     pool_size,
+    view_ranges,
     warm_iterations,
 )
 from usdsmoke.vdb.header import GridHeader
@@ -115,6 +117,7 @@ class FrameSize:
     visible: float = 1.0  # share of the box that the shot's camera sees
     computed: bool | None = None  # True if it is optimised; None: as optimize.strength implies
     most_voxels: int = 0  # visible, refined ones of the shot's largest frame; 0: its own
+    edges: tuple[float, float, float] = (1.0, 1.0, 1.0)  # of a voxel along i, j, k; any unit
 
     @property
     def is_thin(self) -> bool:
@@ -233,6 +236,14 @@ def grid_size(file_path: str, grid: GridHeader) -> tuple[int, tuple[int, int, in
     return active, box or (0, 0, 0)
 
 
+def voxel_edges(grid: GridHeader) -> tuple[float, float, float]:
+    """The lengths of a voxel's edges in the file's unit; equal ones where it does not tell."""
+    if grid.index_to_world is None:
+        return 1.0, 1.0, 1.0
+    i, j, k = (math.hypot(*row[:3]) or 1.0 for row in grid.index_to_world[:3])
+    return i, j, k
+
+
 def _speed(config: Config, threads: int | None = None) -> float:
     """Times that of one thread."""
     n_threads = threads or config.optimize.threads or usable_threads()
@@ -261,9 +272,18 @@ def _voxels_a_pixel(frame: FrameSize, config: Config) -> int:
 
 
 def _joined(frame: FrameSize, config: Config) -> int:
-    """The voxels of a block that is optimised as one, because a pixel holds it."""
-    side = OCTAVE_SCALE ** int(math.log2(_voxels_a_pixel(frame, config)))
-    return int(side ** sum(n > 1 for n in frame.box))
+    """The voxels of a block that is optimised as one, because a pixel holds it; rather too few.
+
+    Views from all sides see the longest side of the smoke. Others may see it from its end.
+    """
+    refine, views = config.grids.refine, config.views
+    *_, middle, longest = sorted(n * edge for n, edge in zip(frame.box, frame.edges, strict=True))
+    is_seen = not views.camera and view_ranges(views)[0] > SIDEWAYS
+    shortest, widest = min(frame.edges) / refine, max(frame.edges) / refine
+    n_across = round((longest if is_seen else middle) / views.image_size / shortest)
+    side = max(n_across, 1) * shortest / widest
+    blocks = OCTAVE_SCALE ** max(int(math.log2(side)), 0)
+    return int(blocks ** sum(n > 1 for n in frame.box))
 
 
 def _picture_pixels(frame: FrameSize, config: Config) -> float:

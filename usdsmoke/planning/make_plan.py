@@ -30,6 +30,7 @@ from usdsmoke.planning.estimate import (
     estimate_run,
     grid_size,
     visible_voxels,
+    voxel_edges,
 )
 from usdsmoke.planning.frames import (
     field_place,
@@ -222,9 +223,8 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
             f"{limit:.1f} GiB is available ({reason}). Lower views.pool, views.image_size or "
             f"grids.refine, or {remedy}.{_dense_hint(frame.size)}"
         )
-    if output is None:
-        return
-    check_disk(output, plan.estimate.bytes_written)
+    if output is not None:
+        check_disk(output, plan.estimate.bytes_written)
 
 
 def _dense_hint(size: FrameSize) -> str:
@@ -373,6 +373,7 @@ def _plan_frame(
         n_copied=0 if copied is None else 3,
         visible=visible_share(frame, density, grid, config),
         computed=place.is_computed,
+        edges=voxel_edges(grid),
     )
     if size.active_voxels == 0 or not place.is_computed:
         mask = None

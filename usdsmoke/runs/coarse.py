@@ -139,6 +139,12 @@ def run_coarse_step(
     return share_of(tell, part, 1.0) if to_do else None
 
 
+def share_before_windows(plan: Plan) -> float:
+    """The part of a run's time that training and coarse step take, by the plan's estimate."""
+    training = sum(volume.training_seconds for volume in plan.volumes)
+    return (training + plan.estimate.coarse_seconds) / plan.estimate.seconds
+
+
 def _share(plan: Plan, frames: Collection[FramePlan] | None) -> float:
     """The part of the time that the coarse step takes, by the plan's estimate.
 

@@ -108,15 +108,17 @@ def _frame_work(
 ) -> dict[str, tuple[list[int], list[float]]]:
     """A frame's iterations by step, octave by octave, and the work of each octave.
 
-    Pixels fall with the square of the scale, and some of the cost is fixed.
+    Pixels fall with the square of the scale, and some of the cost is fixed. What the coarse step
+    has done is no iteration of the frame; colours that a network paints do not come from there.
     """
     found: dict[str, tuple[list[int], list[float]]] = {}
     for step in config.optimize.steps:
         iterations = step_iterations(config, step, is_warm)
+        if n_left and not (step == "colour" and config.optimize.start):
+            iterations[:-n_left] = [0] * len(iterations[:-n_left])
         work = [
             n * (_FIXED_WORK + OCTAVE_SCALE ** (-2 * (len(iterations) - 1 - octave)))
             for octave, n in enumerate(iterations)
         ]
-        n_begun = len(work) - n_left if n_left else 0
-        found[step] = (iterations, [0.0] * n_begun + work[n_begun:])
+        found[step] = (iterations, work)
     return found

@@ -111,7 +111,7 @@ def stylize_windows(
     """
     warm = [bool(place) for task in tasks for place, _ in enumerate(task.frames)]
     configs = [task.volume.config for task in tasks for _ in task.frames]
-    left = [_octaves_left(opened, task) for task in tasks for _ in task.frames]
+    left = [n for task in tasks for n in _octaves_left(opened, task)]
     meter, done = WorkMeter(configs, warm, left), 0
     for place, task in enumerate(tasks):
         with opened.run.claim(task.number):
@@ -121,9 +121,9 @@ def stylize_windows(
                 progress = _Counter(meter, places, len(warm), tell)
                 _stylize_window(opened, task, source_hashes, progress)
             opened.run.checkpoint_path(task.number).unlink(missing_ok=True)
-        for number in range(len(task.frames)):  # also where another process has done the window
-            meter.finish(done + number)
-        done += len(task.frames)
+        for _ in task.frames:  # also where another process has done the window
+            meter.finish(done)
+            done += 1
         later = [frame for other in tasks[place + 1 :] for frame in other.frames]
         opened.reader.release(task.frames, [*later, *_frames_to_assemble(opened.plan)])
 
@@ -137,10 +137,13 @@ def _frames_to_assemble(plan: Plan) -> Iterator[FramePlan]:
                 yield frame
 
 
-def _octaves_left(opened: OpenRun, task: WindowTask) -> int:
-    """The octaves of a window's frames that follow the shared coarse step; 0: all."""
-    has_starts = has_coarse_step(opened.run, task.volume_number, task.volume)
-    return fine_octaves(task.volume.config) if has_starts else 0
+def _octaves_left(opened: OpenRun, task: WindowTask) -> list[int]:
+    """Of each frame of a window the octaves that follow the shared coarse step; 0: all."""
+    if not has_coarse_step(opened.run, task.volume_number, task.volume):
+        return [0] * len(task.frames)
+    shared = {code for chain in task.volume.coarse_runs for code in chain}
+    n_fine = fine_octaves(task.volume.config)
+    return [n_fine if frame.source.time_code in shared else 0 for frame in task.frames]
 
 
 @dataclass(frozen=True)
@@ -151,6 +154,11 @@ class _Counter:
     places: Mapping[float, int]  # by timeCode, among the frames of the run
     n_frames: int
     tell: RunProgressCallback
+
+    def skip(self, frames: Iterable[FramePlan]) -> None:
+        """Count frames that an earlier process has done."""
+        for frame in frames:
+            self.meter.finish(self.places[frame.source.time_code])
 
     def writing(self, time_code: float) -> None:
         frame = self.places[time_code]
@@ -202,6 +210,7 @@ def _stylize_window(
     frames = _from(task.frames, carried)
     sources = (opened.reader.read(task.volume, frame) for frame in frames)
     to_do = frames if carried is None else frames[1:]
+    progress.skip(task.frames[: len(task.frames) - len(to_do)])
     results = stylize_window(
         timed_items(clock, "reading", sources),
         job.pictures(task.volume),

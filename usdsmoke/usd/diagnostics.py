@@ -17,6 +17,7 @@ _LINE = re.compile(r":(\d+):\d+: |\bline (\d+)")  # in two versions' words
 _NUMBER = re.compile(r"\d+(?=\.vdb$)", re.IGNORECASE)
 _LONGEST_REASON = 160  # characters: it quotes the line, which may hold an array
 _GRAMMAR = re.compile(r" matching .*pxrInternal.* at '", re.DOTALL)  # a rule's C++ type
+_RESULTS = ("look", "asset", "look_*")  # ends of names of stages that a run writes
 _FORMATS = "Give a .usda, .usdc, .usd or .usdz file."
 
 
@@ -113,7 +114,7 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
             return f"{file_path} names VDB files, not a stage. {_make_stage(file_path)}"
         return f"there is no file {file_path}. Check the path."
     except IsADirectoryError:
-        stages = sorted(Path(found).glob("*_look.usd[ac]"))  # of a result
+        stages = [p for name in _RESULTS for p in sorted(Path(found).glob(f"*_{name}.usd[ac]"))]
         advice = f"Give the stage {stages[0]}." if stages else _FORMATS
         return f"{file_path} is a folder. {advice}"
     except PermissionError as error:

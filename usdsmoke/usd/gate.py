@@ -52,8 +52,8 @@ def validate_look(
     return [*_switched(source, composed), *_added(source, composed), *own], of_source
 
 
-def stale_looks(stage: str | os.PathLike[str]) -> list[Finding]:
-    """Looks of a stage whose source has other files or more timeCodes than it had then.
+def short_looks(stage: str | os.PathLike[str]) -> list[Finding]:
+    """Looks of a stage whose source has more timeCodes than it had when they were made.
 
     The stage without its looks tells, so this is no rule of a validator.
     """
@@ -64,7 +64,7 @@ def stale_looks(stage: str | os.PathLike[str]) -> list[Finding]:
         source = open_look(stage, ORIGINAL)
     except UsdSmokeError:
         return []  # a look layer by itself
-    return [*_switched(source, composed), *_added(source, composed)]
+    return _added(source, composed)
 
 
 @readable_values()
@@ -153,8 +153,7 @@ def _switched(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:
             record = read_record(layer)
             below = source
             if record.settings.get("stage", {}).get("restylize"):  # made from the looks below it
-                below = Usd.Stage.Open(composed.GetRootLayer(), composed.GetSessionLayer())
-                below.MuteLayer(name)
+                below = _below(composed, layer)
             volumes = find_volumes(below, StageConfig(), with_requests=False, problems=[])
         except UsdSmokeError:
             continue  # other rules report it
@@ -163,6 +162,16 @@ def _switched(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:
             text = f"{sentence}. Stylize it again."
             found.append(Finding(Severity.ERROR, "LookStale", path, None, text))
     return found
+
+
+def _below(composed: Usd.Stage, look: Sdf.Layer) -> Usd.Stage:
+    """The stage without a look and those over it."""
+    looks = [layer for layer in composed.GetLayerStack() if record_values(layer)]
+    over = looks[: looks.index(look)] if look in looks else []
+    stage = Usd.Stage.Open(composed.GetRootLayer(), composed.GetSessionLayer())
+    for layer in (*over, look):
+        stage.MuteLayer(layer.identifier)
+    return stage
 
 
 def _added(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:

@@ -77,14 +77,13 @@ def test_a_frame_that_ends_early_counts_as_done() -> None:
 
 
 def test_octaves_of_the_shared_coarse_step_do_not_count_in_windows() -> None:
+    """A frame with such a start reports the iterations of its finest octave alone."""
     config = resolve_config({"optimize": {"steps": ["colour"]}})
-    n_shared = config.windows.shared_octaves
+    n = config.colour.iterations[-1]
     meter = WorkMeter(config, [False], [1])
-    shares = [meter.share(report, 0) for _, report in reports_of(config, [False])]
-    n_coarse = sum(config.colour.iterations[:n_shared])
-    assert shares[:n_coarse] == [0.0] * n_coarse
-    assert shares[n_coarse] == pytest.approx(1 / config.colour.iterations[-1])
-    assert shares[-1] == pytest.approx(1.0)
+    reports = [Progress("colour", 0, 0, 1, 2, 3, done, n, 2.0) for done in range(n)]
+    shares = [meter.share(report, 0) for report in reports]
+    assert shares == pytest.approx([(done + 1) / n for done in range(n)])
 
 
 def test_the_fine_octave_counts_for_more_than_the_coarse_one() -> None:

@@ -18,6 +18,7 @@ COARSER = 0.75  # of the iterations behind a network: on larger voxels, if there
 # time, hardly folds, and sequences have fewer specks. A density that is moved voxel by voxel is
 # nearer to the style: the fewer voxels smoke has, the more of it is lost (decisions 038 and 075)
 MANY_VOXELS = 2**16
+SIDEWAYS = 45.0  # half a range of azimuth, degrees, from which on smoke is seen from the side
 OCTAVE_SCALE = 2  # of neighbouring octaves: whole blocks of voxels, so that mass is kept exactly
 
 

@@ -14,7 +14,7 @@ from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import CameraSource, VolumeFrame
 from usdsmoke.config.look_sections import OpticsConfig, ViewsConfig
 from usdsmoke.core.smoke.levels import bounded
-from usdsmoke.core.smoke.schedule import pool_size, view_ranges
+from usdsmoke.core.smoke.schedule import SIDEWAYS, pool_size, view_ranges
 from usdsmoke.core.smoke.thicken import Thickening
 from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
 from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 PICTURE_MARGIN = 2  # pixels around the smoke
 LEAST_OPACITY = 1e-12  # thinner smoke is not brightened: float32 pictures hold no more
-_SIDEWAYS = 45.0  # half a range of azimuth, degrees, from which on smoke is seen from the side
 LEAST_PIXELS = 16  # along the smoke, even if the camera is far away: fewer hold no structure
 EXPOSED_OPACITY = 0.7  # thick columns with less opacity are exposed to this one
 
@@ -387,7 +386,7 @@ def _longest_side(
 ) -> float:
     """Of the pictures, stage units; views all round see smoke from the side as well."""
     shown = [_middle_view(smoke, views, up_axis, 1e-3 * smoke.voxel_size, camera)]
-    if camera is None and smoke.thin_axis is None and view_ranges(views)[0] > _SIDEWAYS:
+    if camera is None and smoke.thin_axis is None and view_ranges(views)[0] > SIDEWAYS:
         aside = views.replace(centre_azimuth=views.centre_azimuth + 90.0)
         shown.append(_middle_view(smoke, aside, up_axis, 1e-3 * smoke.voxel_size))
     return max(max(view.height, view.width) * view.pixel_size for view in shown)

@@ -250,9 +250,11 @@ def open_run_to_assemble(
 def _run_to_assemble(output: Path, look: str | None) -> Run:
     runs = [run for run in find_runs(output) if look in (None, run.look)]
     unfinished = [run for run in runs if not run.complete]
-    if not runs and (damaged := damaged_records(output)):
+    if not (runs or look) and (damaged := damaged_records(output)):
         raise LayerError(
-            f"{damaged[0]} is damaged. Remove the folder that it is in, and start the run again."
+            f"{damaged[0]} is damaged, so its run cannot be assembled. If a look layer shows files "
+            "of that folder, leave both as they are: the result is complete. Otherwise remove the "
+            "folder, and start the run again."
         )
     if not runs:
         named = f" of the look {look}" if look else ""

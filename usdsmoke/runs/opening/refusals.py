@@ -19,7 +19,8 @@ FORCE = "--force (force=True in Python)"
 
 
 def refuse_runs(job: Job, growth: Growth | None) -> None:
-    """Refuse a whole job for what is in its output folder, as ``open_run`` does.
+    """Refuse a whole job for what is in its output folder, as ``open_run`` does; but not for a
+    damaged record, which only the machine that runs it knows to be one of this job.
 
     Raises:
         OutputExists: as of ``refuse_result``; or there is an unfinished run of other settings.

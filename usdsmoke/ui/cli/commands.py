@@ -63,7 +63,7 @@ def run_stage(arguments: argparse.Namespace) -> int:
 
 def run_validate(arguments: argparse.Namespace) -> int:
     """``usdsmoke validate``; the exit code, 1 where a finding fails."""
-    from usdsmoke.usd.gate import fails, junit_xml, stale_looks, validate_look, write_mends
+    from usdsmoke.usd.gate import fails, junit_xml, short_looks, validate_look, write_mends
     from usdsmoke.usd.rules import check_rules, validate
 
     check_rules(arguments.ignore)
@@ -78,7 +78,7 @@ def run_validate(arguments: argparse.Namespace) -> int:
         findings, of_source = validate_look(arguments.stage)
     else:
         findings = validate(arguments.stage)
-        findings = [*stale_looks(arguments.stage), *findings]  # errors: they come first
+        findings = [*short_looks(arguments.stage), *findings]  # errors: they come first
     ignored = Counter(item.rule for item in findings if item.rule in arguments.ignore)
     findings = [finding for finding in findings if finding.rule not in arguments.ignore]
     if arguments.junit:

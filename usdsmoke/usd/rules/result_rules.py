@@ -11,7 +11,7 @@ from pxr import Ar, Gf, Sdf, Usd, UsdVol
 from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageError
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.config.run_sections import GridsConfig
-from usdsmoke.usd.field_samples import field_targets
+from usdsmoke.usd.field_samples import FieldSamples, field_targets
 from usdsmoke.usd.layer_record import LAYER_HASH, layer_digest, read_record, record_values
 from usdsmoke.usd.rules.facts import Problem, Severity, collect_fields, grouped
 from usdsmoke.usd.rules.staleness import rewritten_sources, switched_variants
@@ -141,11 +141,15 @@ def check_stale(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
 
 
 def check_volumes_of_looks(stage: Usd.Stage) -> list[Problem]:
-    """The Volumes of the looks in a stage's own layers are on the stage and active."""
+    """The Volumes of the looks in a stage's own layers are on the stage and active.
+
+    Where there is nothing but looks, or a payload above is not loaded, nothing is known of them.
+    """
+    stack = stage.GetLayerStack(includeSessionLayers=False)
+    looks = [layer for layer in stack if record_values(layer)]
+    others = [layer for layer in stack if layer not in looks and layer.rootPrims]
     problems = []
-    for layer in stage.GetLayerStack(includeSessionLayers=False):
-        if layer == stage.GetRootLayer() or not record_values(layer):
-            continue  # a look layer by itself has no Volumes
+    for layer in looks if others else ():
         paths: list[Sdf.Path] = []
         layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
         for path in paths:
@@ -155,11 +159,14 @@ def check_volumes_of_looks(stage: Usd.Stage) -> list[Problem]:
             prim = stage.GetPrimAtPath(path)
             if prim and prim.IsActive() and prim.IsA(UsdVol.Volume):
                 continue
+            above = (stage.GetPrimAtPath(part) for part in path.GetPrefixes())
+            if any(part and part.HasAuthoredPayloads() and not part.IsLoaded() for part in above):
+                continue
             text = (
                 f"{layer.GetDisplayName()} is a look of the Volume <{path}>, which the stage does "
                 "not have. Select the variant that has it, activate it, or leave the look out."
             )
-            problems.append(Problem(Severity.ERROR, str(path) if prim else "/", text))
+            problems.append(Problem(Severity.WARN, str(path) if prim else "/", text))
     return problems
 
 
@@ -172,26 +179,21 @@ def check_look_strongest(volume: Usd.Prim, _interval: Gf.Interval) -> list[Probl
     for path in sorted({p for targets in field_targets(volume).values() for p in targets}):
         prim = volume.GetStage().GetPrimAtPath(path)
         stack = prim.GetAttribute("filePath").GetPropertyStack() if prim else []
+        stack = [spec for spec in stack if spec.HasInfo("default") or spec.HasInfo("timeSamples")]
         looks = [spec for spec in stack if record_values(spec.layer)]
         if not looks or stack[0] in looks:
             continue
-        if any(map(_promised, _files(stack[0]))):
+        shown = FieldSamples(prim).inside(Gf.Interval.GetFullInterval())
+        if any(_promised(sample.file_path) for sample in shown):
             continue
         stronger, look = (spec.layer.GetDisplayName() for spec in (stack[0], looks[0]))
         text = (
             f"{stronger} is stronger than the look layer {look} and sets filePath too, so the "
-            "files of the look are not shown. Put the look layer before it in subLayers, or remove "
-            "that opinion."
+            "files of the look are not shown. Make the look layer the stronger one (it comes first "
+            "in subLayers), or remove that opinion."
         )
         problems.append(Problem(Severity.ERROR, str(path), text))
     return problems
-
-
-def _files(file_path: Sdf.AttributeSpec) -> list[str]:
-    """Absolute paths of the files that a spec of ``filePath`` shows at any time."""
-    values = [file_path.default, *(file_path.GetInfo("timeSamples") or {}).values()]
-    paths = [value.path for value in values if isinstance(value, Sdf.AssetPath) and value.path]
-    return [Sdf.ComputeAssetPathRelativeToLayer(file_path.layer, path) for path in paths]
 
 
 def _selected_variant(volume: Usd.Prim, spec_path: Sdf.Path, name: str) -> str | None:

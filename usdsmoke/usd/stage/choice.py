@@ -86,11 +86,14 @@ def _composition_hint(stage: Usd.Stage) -> str:
 def _where_it_may_be(stage: Usd.Stage) -> str:
     """What may hide a Volume: a prim that is not active, or another variant."""
     every = list(Usd.PrimRange.Stage(stage, Usd.PrimAllPrimsPredicate))
-    if inactive := [prim for prim in every if not prim.IsActive()]:
+    groups = ("", "Xform", "Scope", "Volume")
+    if inactive := [p for p in every if not p.IsActive() and p.GetTypeName() in groups]:
         return f", or activate <{inactive[0].GetPath()}>"
     for prim in every:
         sets = prim.GetVariantSets()
         for name in sets.GetNames():
+            if len(sets.GetVariantSet(name).GetVariantNames()) < 2:
+                continue
             here = f"<{prim.GetPath()}>{{{name}={sets.GetVariantSelection(name)}}}"
             return f", or select another variant than {here}"
     return "; usdsmoke does not turn meshes or particles into smoke"

@@ -102,7 +102,7 @@ def open_look(stage: StageOrFile, name: str) -> Usd.Stage:
             if variants.HasAuthoredVariant(name):
                 is_there = variants.SetVariantSelection(name)
     if not is_there:
-        found = f"found: {', '.join(sorted(others))}" if others else "it has no such asset"
+        found = f"found: {', '.join(sorted(others))}" if others else "no asset outside instances"
         raise StageError(
             f"no asset on the stage {stage.GetRootLayer().identifier} has a look {name} ({found}). "
             "Name one of its variants, or give the root layer of the look, NAME_look.usda."
