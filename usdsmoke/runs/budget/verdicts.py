@@ -95,8 +95,8 @@ def _meaning(name: str) -> str:
 
 
 def _bound(name: str, largest: Mapping[str, float]) -> str:
-    """Up to where an error is fine, if it is not far below."""
-    return f"; fine up to {100 * _MOST[name]:.3g}%" if _share(name, largest) > _NEAR else ""
+    """Above what the error says that something is wrong, if it is not far below."""
+    return f"; bound {100 * _MOST[name]:.3g}%" if _share(name, largest) > _NEAR else ""
 
 
 def urgency(verdict: str) -> int:
