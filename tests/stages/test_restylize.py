@@ -108,6 +108,8 @@ def test_restylize_takes_the_stylized_smoke_and_lays_the_new_look_over_the_old(s
     assert muted["prims"] == read_stage(first.root_stage)["prims"]
     assert not [item for item in second.plan.omitted if item.what == "earlier look"]
     assert validate_look(second.root_stage) == ([], [])
+    third = stylize(second.root_stage, shot.style, shot.folder / "third", settings=[RESTYLIZE])
+    assert validate_look(third.root_stage) == ([], [])
 
 
 def test_a_look_over_a_look_has_a_material_of_its_own(shot: Shot) -> None:

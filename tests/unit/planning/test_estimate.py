@@ -217,6 +217,29 @@ def test_memory_of_large_frames_is_above_what_was_measured_but_not_by_a_third(
     assert measured < found.memory_gib < 1.34 * measured
 
 
+@pytest.mark.parametrize(
+    ("box", "edges", "settings"),
+    [
+        ((100, 100, 400), (1.0, 1.0, 1.0), ["views.azimuth=20"]),  # may be seen from its end
+        ((100, 100, 400), (1.0, 1.0, 1.0), ["views.camera=/cam"]),
+        ((400, 100, 100), (0.25, 1.0, 1.0), []),  # no longer than wide
+        ((400, 40, 100), (1.0, 4.0, 1.0), []),  # a pixel is no longer than one voxel
+    ],
+)
+def test_voxels_count_alone_in_memory_where_pixels_may_hold_no_more(
+    box: tuple[int, int, int], edges: tuple[float, float, float], settings: list[str]
+) -> None:
+    config = resolve_config(["views.image_size=96", *settings])
+    joined, alone = (
+        estimate_run([FrameSize(1_000_000, size, edges=e)], c, threads=2).memory_gib
+        for size, e, c in (
+            (box, (1.0, 1.0, 1.0), resolve_config(["views.image_size=96"])),
+            (box, edges, config),
+        )
+    )
+    assert alone - joined > 0.9  # GiB: 700 and 40 bytes a view for most of a million voxels
+
+
 def test_a_slab_is_refined_in_its_plane_only() -> None:
     slab = FrameSize(10_000, (100, 100, 1))
     fine = resolve_config(["grids.refine=4"])
