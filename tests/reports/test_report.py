@@ -13,7 +13,7 @@ from PIL import Image
 
 from benchmarks.shape_cost import write_vgg19
 from tests.fixtures.pipeline_fixtures import run_here
-from tests.fixtures.report_fixtures import QUICK, case_of, make_scene
+from tests.fixtures.report_fixtures import QUICK, case_of, colourful, make_scene
 from usdsmoke.base.errors import LayerError, PlanError
 from usdsmoke.base.volume import DenseField
 from usdsmoke.ui.cli.main import main
@@ -42,6 +42,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ReportResult]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("usdsmoke.vdb.child.run_child", run_here)
         scene = make_scene(tmp_path_factory.mktemp("report"))
+        colourful(scene.style)
         sweeps = [shortened(sweep) for sweep in SWEEPS]
         yield make_report(
             scene.stage, scene.style, scene.output, settings=QUICK, sweeps=sweeps, seconds=1e6
