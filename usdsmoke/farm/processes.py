@@ -105,7 +105,7 @@ def stylize_in_processes(
         pool.run([None], 1)
         pool.run(list(tasks.windows), n_processes)
     except KeyboardInterrupt:
-        pool.end()
+        pool.end()  # what is left of a run is seen behind that
         output = Path(tasks.request.output)
         if not find_run_files(output):
             raise Interrupted(

@@ -177,6 +177,11 @@ class Plan:
         return sum(len(volume.frames) for volume in self.volumes)
 
     @property
+    def training_seconds(self) -> float:
+        """Of all networks that the run trains."""
+        return sum(volume.training_seconds for volume in self.volumes)
+
+    @property
     def tasks(self) -> list[WindowTask]:
         """The windows of all Volumes, in the order of their numbers."""
         tasks = []

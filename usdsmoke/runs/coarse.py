@@ -141,8 +141,7 @@ def run_coarse_step(
 
 def share_before_windows(plan: Plan) -> float:
     """The part of a run's time that training and coarse step take, by the plan's estimate."""
-    training = sum(volume.training_seconds for volume in plan.volumes)
-    return (training + plan.estimate.coarse_seconds) / plan.estimate.seconds
+    return (plan.training_seconds + plan.estimate.coarse_seconds) / plan.estimate.seconds
 
 
 def _share(plan: Plan, frames: Collection[FramePlan] | None) -> float:
@@ -151,11 +150,10 @@ def _share(plan: Plan, frames: Collection[FramePlan] | None) -> float:
     Args:
         frames: those that are computed behind it; None: all.
     """
-    training = sum(volume.training_seconds for volume in plan.volumes)
     coarse = plan.estimate.coarse_seconds
     n_all = sum(len(task.frames) for task in plan.tasks)
     n_behind = n_all if frames is None else len(frames)
-    behind = (plan.estimate.seconds - training - coarse) * n_behind / max(n_all, 1)
+    behind = (plan.estimate.seconds - plan.training_seconds - coarse) * n_behind / max(n_all, 1)
     return coarse / (coarse + behind) if coarse else 0.0
 
 

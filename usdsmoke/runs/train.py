@@ -230,7 +230,7 @@ def record_scenes(opened: OpenRun, tell: RunProgressCallback) -> RunProgressCall
     if not any(volume.config.optimize.trains for volume in plan.volumes):
         run.keep_scenes(_find_scenes(opened, tell))
         return tell
-    part = sum(volume.training_seconds for volume in plan.volumes) / plan.estimate.seconds
+    part = plan.training_seconds / plan.estimate.seconds
     with run.claim():
         run.adopt()
         if not run.scenes:

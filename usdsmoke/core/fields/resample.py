@@ -95,7 +95,7 @@ def refine_field(field: DenseField, factor: int) -> DenseField:
     values = torch.from_numpy(np.ascontiguousarray(field.values, np.float32))
     outside = torch.from_numpy(np.asarray(field.background, np.float32).reshape(-1))
     values = values - (outside if values.ndim == 4 else outside[0])
-    for axis in (2, 1, 0):  # the last step makes the largest box, plane by plane
+    for axis in (2, 1, 0):  # the last step makes the largest box, whose planes lie in order
         if scale[axis] > 1:
             values = _subdivided(values, axis, int(scale[axis]))
     values += outside if values.ndim == 4 else outside[0]

@@ -63,10 +63,9 @@ class Hues:
     def nearest(self, colours: Tensor, before: Tensor | None = None) -> Tensor:
         """Colours [N 3] with chroma that the styles have at their luma, which stays.
 
-        What is farther than ``NEAR`` from the nearest such chroma is brought up to there; styles
-        without colour, which have grey alone, leave no chroma. A luma
-        that the styles have nowhere, such as one brighter than all of them, takes the chroma of the
-        nearest one that they have.
+        What is farther than ``NEAR`` from the nearest such chroma is brought up to there. Styles of
+        grey alone leave no chroma. A luma that the styles have nowhere, such as one brighter than
+        all of them, takes the chroma of the nearest one that they have.
 
         Args:
             colours: display-encoded, >= 0; one channel may get brighter.
@@ -102,7 +101,7 @@ class Hues:
     def _is_far(self) -> Tensor:
         """Whether colours between half a step and the next ones may be far from a hue, flat.
 
-        A mean of ways that are no longer than that is no longer either.
+        A mean of ways that are no longer than ``_near`` is no longer either.
         """
         shape = self._table.shape[:3]
         halves = tuple(2 * n - 1 for n in shape)

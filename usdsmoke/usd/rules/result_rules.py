@@ -153,7 +153,8 @@ def check_volumes_of_looks(stage: Usd.Stage) -> list[Problem]:
         paths: list[Sdf.Path] = []
         layer.Traverse(Sdf.Path.absoluteRootPath, paths.append)
         for path in paths:
-            schemas = layer.GetPrimAtPath(path) and layer.GetPrimAtPath(path).GetInfo("apiSchemas")
+            spec = layer.GetPrimAtPath(path)
+            schemas = spec.GetInfo("apiSchemas") if spec else None
             if not (schemas and LOOK_API in schemas.GetAppliedItems()):
                 continue
             prim = stage.GetPrimAtPath(path)

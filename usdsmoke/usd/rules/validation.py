@@ -140,18 +140,18 @@ def register_validators() -> list[str]:
             fixers = fixers_of(name, module)  # none in OpenUSD older than 26.11
             arguments = (metadata, _prim_task(name, rule), *([fixers] if fixers else []))
             registry.RegisterPrimValidator(*arguments)
+    tasks: dict[str, tuple[Callable[..., None], Any, str]] = {
+        name: (registry.RegisterStageValidator, _stage_task(name, stage_rule), doc)
+        for name, (stage_rule, doc) in _STAGE_RULES.items()
+    }
     for name, (layer_rule, doc) in _LAYER_RULES.items():
+        tasks[name] = (registry.RegisterLayerValidator, _layer_task(name, layer_rule), doc)
+    for name, (register, task, doc) in tasks.items():
         if not registry.HasValidator(PREFIX + name):
             metadata = module.ValidatorMetadata(
                 name=PREFIX + name, keywords=["usdsmoke", "UsdVol"], doc=doc
             )
-            registry.RegisterLayerValidator(metadata, _layer_task(name, layer_rule))
-    for name, (stage_rule, doc) in _STAGE_RULES.items():
-        if not registry.HasValidator(PREFIX + name):
-            metadata = module.ValidatorMetadata(
-                name=PREFIX + name, keywords=["usdsmoke", "UsdVol"], doc=doc
-            )
-            registry.RegisterStageValidator(metadata, _stage_task(name, stage_rule))
+            register(metadata, task)
     return [PREFIX + name for name in _own_rules()]
 
 

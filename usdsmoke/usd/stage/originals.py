@@ -4,6 +4,7 @@ Layers are muted and variants are selected in memory only; no file changes.
 """
 
 import os
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,10 +95,7 @@ def open_look(stage: StageOrFile, name: str) -> Usd.Stage:
         return _open_original(stage)
     stage, is_there, others = _own_copy(stage), False, set[str]()
     with Usd.EditContext(stage, stage.GetSessionLayer()):
-        for prim in list(stage.TraverseAll()):
-            if not prim or not _has_looks(prim):  # its own variants may have been its reason to be
-                continue
-            variants = prim.GetVariantSet(VARIANT_SET)
+        for _, variants in _assets(stage):
             others |= set(variants.GetVariantNames())
             if variants.HasAuthoredVariant(name):
                 is_there = variants.SetVariantSelection(name)
@@ -220,14 +218,18 @@ def _select_originals(stage: Usd.Stage) -> list[str]:
     """Select the variant without a look of every asset of ours, in memory; the prims' paths."""
     chosen = []
     with Usd.EditContext(stage, stage.GetSessionLayer()):
-        for prim in list(stage.TraverseAll()):
-            if not prim or not _has_looks(prim):  # its own variants may have been its reason to be
-                continue
-            variants = prim.GetVariantSet(VARIANT_SET)
+        for prim, variants in _assets(stage):
             if variants.GetVariantSelection() not in ("", ORIGINAL):
                 variants.SetVariantSelection(ORIGINAL)
                 chosen.append(str(prim.GetPath()))
     return chosen
+
+
+def _assets(stage: Usd.Stage) -> Iterator[tuple[Usd.Prim, Usd.VariantSet]]:
+    """The assets of ours and their looks; a selection may add and remove prims meanwhile."""
+    for prim in list(stage.TraverseAll()):
+        if prim and _has_looks(prim):  # its own variants may have been its reason to be
+            yield prim, prim.GetVariantSet(VARIANT_SET)
 
 
 def _has_looks(prim: Usd.Prim) -> bool:
