@@ -169,6 +169,24 @@ def test_a_word_that_is_no_choice_is_told_with_the_choices(
     assert all(fact in said for fact in facts) and "invalid" not in said
 
 
+@pytest.mark.parametrize(
+    ("arguments", "fact"),
+    [
+        (["stylize", "--json", "a.usda"], "-o OUT"),
+        (["inspect", "a.usda", "--json", "--fields"], "--fields"),
+        (["compare", "--json"], "compare"),
+        (["stylize", "a.usda", "--json", "-o", ""], "--output"),
+    ],
+)
+def test_wrong_usage_is_a_json_value_too(
+    arguments: list[str], fact: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    told = json.loads(capsys.readouterr().out)["error"]
+    assert ended.value.code == 2 and told["type"] == "WrongUsage" and fact in told["message"]
+
+
 def test_the_plan_lists_its_windows_by_number_where_there_are_several(
     shot: Shot, capsys: pytest.CaptureFixture[str]
 ) -> None:

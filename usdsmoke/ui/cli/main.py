@@ -69,13 +69,19 @@ def _main(words: Sequence[str], is_process: bool, seen: list[int]) -> int:
     prepare_numpy_environment()
     check_packages("numpy", "yaml", "pydantic", "rich")  # which the imports below need
     from usdsmoke.ui.cli.arguments import build_parser
+    from usdsmoke.ui.cli.parser import WrongUsage
     from usdsmoke.ui.cli.values import empty_value
 
     parser, commands = build_parser(), _commands()
-    arguments = parser.parse_args(words)
+    try:
+        arguments = parser.parse_args(words)
+        if name := empty_value(arguments):
+            parser.error(f"{name} is empty. Give a value, or leave it out.")
+    except WrongUsage as error:
+        if "--json" in words:
+            _print_error("WrongUsage", error.message)
+        raise
     arguments.starting = process_seconds() if is_process else 0.0
-    if name := empty_value(arguments):
-        parser.error(f"{name} is empty. Give a value, or leave it out.")
     return _run(commands[arguments.command], arguments, seen)
 
 
@@ -196,4 +202,9 @@ def _report(error: BaseException, arguments: argparse.Namespace) -> None:
     if arguments.verbose and (details := getattr(error, "details", "")):
         print(details, file=sys.stderr)
     if arguments.json:
-        print(json.dumps({"error": {"type": kind, "message": message}}, ensure_ascii=False))
+        _print_error(kind, message)
+
+
+def _print_error(kind: str, message: str) -> None:
+    """An error as the one JSON value of stdout."""
+    print(json.dumps({"error": {"type": kind, "message": message}}, ensure_ascii=False))

@@ -8,6 +8,14 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 
+class WrongUsage(SystemExit):
+    """Arguments that are wrong: exit code 2, with the line that stderr has got."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(2)
+        self.message = message
+
+
 class SuggestingParser(argparse.ArgumentParser):
     """A parser whose errors take one line, and name the nearest command or option."""
 
@@ -25,9 +33,12 @@ class SuggestingParser(argparse.ArgumentParser):
         return arguments
 
     def error(self, message: str) -> NoReturn:
-        """One line that names the argument and what to write.
+        """One line on stderr that names the argument and what to write.
 
         For a word that is not a choice, the line names the nearest choice, or all of them.
+
+        Raises:
+            WrongUsage: always.
         """
         choice = r"argument (.*?): invalid choice: '(.*?)' \(choose from (.*)\)"
         if found := re.fullmatch(choice, message):
@@ -46,7 +57,9 @@ class SuggestingParser(argparse.ArgumentParser):
             message = f"{found[1]} has no value. Give {self._form(found[1])}."
         elif found := re.fullmatch(r"argument (.*?): not allowed with argument (.*)", message):
             message = f"{found[1]} and {found[2]} exclude each other. Give one of them."
-        self.exit(2, f"{self.prog}: {message.removeprefix('argument ')}\n")
+        message = message.removeprefix("argument ")
+        print(f"{self.prog}: {message}", file=sys.stderr)
+        raise WrongUsage(message)
 
     def _form(self, name: str) -> str:
         """An argument as it is written, such as -o OUT."""
