@@ -6,6 +6,7 @@ Without a GPU, a device that only has another name stands for one.
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +21,10 @@ from usdsmoke.core.features.network import EmbeddedFeatures, Network
 from usdsmoke.core.features.vgg19 import Vgg19Features
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence import frame_state
+from usdsmoke.core.sequence.coarse import coarse_frames
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
+from usdsmoke.core.sequence.start_files import load_start, save_start
+from usdsmoke.core.sequence.stylize import WindowStart, stylize_window
 from usdsmoke.core.smoke import replay
 from usdsmoke.core.smoke.replay import enlarged
 from usdsmoke.core.style.losses import StyleTarget
@@ -89,6 +93,30 @@ def test_frames_are_those_of_the_processor(step: str, elsewhere: Elsewhere) -> N
 
     def compute() -> list[np.ndarray]:
         found = run_core(FRAMES, config, SCENE, [STYLE])
+        return [f.values for one in found for f in (one.density, one.emission) if f is not None]
+
+    expected = compute()
+    assert_about_equal(elsewhere(compute), expected)
+
+
+@pytest.mark.parametrize("step", ["shape", "colour"])
+def test_windows_behind_a_coarse_step_are_those_of_the_processor(
+    step: str, elsewhere: Elsewhere, tmp_path: Path
+) -> None:
+    """Its starts come from files, on the processor."""
+    config = CONFIG.replace(
+        optimize=CONFIG.optimize.replace(steps=(step,)),
+        windows=CONFIG.windows.replace(shared_octaves=1),
+    )
+    starts = {}
+    for start in coarse_frames(FRAMES, [STYLE], SCENE, config):
+        file_path = tmp_path / f"{start.time_code}.npz"
+        save_start(start, file_path)
+        starts[start.time_code] = load_start(file_path)
+
+    def compute() -> list[np.ndarray]:
+        window = WindowStart(coarse=starts.get)
+        found = list(stylize_window(FRAMES, [STYLE], SCENE, config, start=window))
         return [f.values for one in found for f in (one.density, one.emission) if f is not None]
 
     expected = compute()

@@ -44,6 +44,10 @@ class Displacement:
     values: Tensor  # [I J K 3]
     lattice: Lattice
 
+    def to(self, device: torch.device) -> "Displacement":
+        """The same on a device."""
+        return Displacement(self.values.to(device), self.lattice)
+
     def at(self, positions: Tensor) -> Tensor:
         """The displacement at points [N 3] float64 of stage space, [N 3]; 0 beyond the box."""
         return self.lattice.sample(self.values, positions.to(self.values.device), "zero")

@@ -22,7 +22,7 @@ from usdsmoke.core.sequence.frame_state import (
     make_context,
     open_frame,
 )
-from usdsmoke.core.sequence.start import Carried, CoarseStart
+from usdsmoke.core.sequence.start import Carried, CoarseStart, on_device
 from usdsmoke.core.views.scene import Scene
 
 
@@ -61,7 +61,7 @@ def coarse_frames(
         styles, coarse, _coarse_config(config), progress, time_codes_per_second, None,
         n_frames,
     )  # fmt: skip
-    known = known.to(context.device) if known is not None else None
+    known = on_device(known, context.device)
     context = dataclasses.replace(context, known=known)
     for frame in run_frames(frames, context, partial(_open_coarse, factor)):
         time_code = frame.time_code

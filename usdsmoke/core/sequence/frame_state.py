@@ -28,7 +28,7 @@ from usdsmoke.core.sequence.controls import (
     step_iterations,
     without_network,
 )
-from usdsmoke.core.sequence.start import Carried, CoarseStart
+from usdsmoke.core.sequence.start import Carried, CoarseStart, on_device
 from usdsmoke.core.sequence.transit import Transit, ride_between
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.device import choose_device
@@ -336,8 +336,8 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
         source, smoke = visibility.padded(source), visibility.visible(source)
     return OpenedFrame(
         frame=frame, density=raw if left_out else density, source=source, smoke=smoke, mask=mask,
-        visibility=visibility, coarse=context.starts(frame.time_code), config=config,
-        scene=replace(scene, camera=frame.camera), targets=targets, report=report,
+        visibility=visibility, coarse=on_device(context.starts(frame.time_code), context.device),
+        config=config, scene=replace(scene, camera=frame.camera), targets=targets, report=report,
     )  # fmt: skip
 
 

@@ -7,8 +7,9 @@ of the style. The neighbour's result has the detail.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -25,6 +26,8 @@ from usdsmoke.core.smoke.memory import sums_of
 # windows closer together, less follows the smoke more smoothly; benchmarks/coherence.py.
 PULL = 0.5
 
+_Movable = TypeVar("_Movable", Tensor, ActiveSmoke, Displacement, "Carried", "CoarseStart")
+
 
 @dataclass(frozen=True)
 class Carried:
@@ -38,11 +41,8 @@ class Carried:
 
     def to(self, device: torch.device) -> "Carried":
         """The same on a device."""
-        unclamped, colours = self.unclamped, self.colours
-        if unclamped is not None:
-            unclamped = Displacement(unclamped.values.to(device), unclamped.lattice)
         clouds = tuple(tuple(one.to(device) for one in kind) for kind in self.clouds)
-        colours = None if colours is None else colours.to(device)
+        unclamped, colours = on_device(self.unclamped, device), on_device(self.colours, device)
         return Carried(self.time_code, unclamped, colours, clouds)
 
 
@@ -57,9 +57,24 @@ class CoarseStart:
     colours: Tensor | None = None  # display-encoded [N 3]
     carried: Carried | None = None  # where the next frame starts from this one
 
+    def to(self, device: torch.device) -> "CoarseStart":
+        """The same on a device."""
+        return replace(
+            self,
+            displacement=on_device(self.displacement, device),
+            smoke=on_device(self.smoke, device),
+            colours=on_device(self.colours, device),
+            carried=on_device(self.carried, device),
+        )
+
     def n_octaves(self, n: int) -> int:
         """How many of a step's n octaves were done in the coarse step."""
         return max(0, n - (self.factor.bit_length() - 1))
+
+
+def on_device(values: _Movable | None, device: torch.device) -> _Movable | None:
+    """The same on a device; None stays None."""
+    return None if values is None else values.to(device)
 
 
 def start_displacement(
@@ -86,7 +101,7 @@ def start_displacement(
     shared = coarse.displacement if coarse is not None else None
     if before is None or transit is None:
         if shared is None:
-            return torch.zeros(*lattice.shape, 3)
+            return torch.zeros(*lattice.shape, 3, device=near.device)
         return shared.on(lattice)
     carried = carry_displacement(before, transit, lattice, near)
     carried *= limit / carried.norm(dim=-1, keepdim=True).clamp_min(limit)

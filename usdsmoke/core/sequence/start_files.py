@@ -42,8 +42,8 @@ def save_start(start: CoarseStart, file_path: Path) -> None:
     _save(arrays, file_path)
 
 
-def load_start(file_path: Path, device: torch.device | None = None) -> CoarseStart:
-    """Read what ``save_start`` wrote, except ``carried``.
+def load_start(file_path: Path) -> CoarseStart:
+    """Read what ``save_start`` wrote, except ``carried``; on the CPU.
 
     Raises:
         OSError, ValueError, KeyError: it is missing, damaged or of another kind.
@@ -53,12 +53,12 @@ def load_start(file_path: Path, device: torch.device | None = None) -> CoarseSta
         smoke = colours = None
         if "ijk" in arrays:
             smoke = ActiveSmoke(
-                torch.from_numpy(arrays["ijk"]).to(device),
-                torch.from_numpy(arrays["density"]).to(device),
+                torch.from_numpy(arrays["ijk"]),
+                torch.from_numpy(arrays["density"]),
                 arrays["smoke_to_stage"],
             )
-            colours = torch.from_numpy(arrays["colours"]).to(device)
-        displacement = _displacement_of(arrays, device)
+            colours = torch.from_numpy(arrays["colours"])
+        displacement = _displacement_of(arrays)
         code, factor = float(arrays["time_code"]), int(arrays["factor"])
         return CoarseStart(code, factor, displacement, smoke, colours)
 
@@ -139,10 +139,10 @@ def _displacement_arrays(displacement: Displacement) -> dict[str, np.ndarray]:
     }
 
 
-def _displacement_of(arrays: Any, device: torch.device | None = None) -> Displacement | None:
+def _displacement_of(arrays: Any) -> Displacement | None:
     if "displacement" not in arrays:
         return None
-    values = torch.from_numpy(arrays["displacement"]).to(device)
+    values = torch.from_numpy(arrays["displacement"])
     i, j, k = values.shape[:3]
     lattice = Lattice(arrays["displacement_low"], (i, j, k), arrays["displacement_to_stage"])
     return Displacement(values, lattice)

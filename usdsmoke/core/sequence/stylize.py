@@ -20,7 +20,7 @@ from usdsmoke.core.sequence.error_estimates import (
 )
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import PaintedFrame, WindowContext, make_context
-from usdsmoke.core.sequence.start import Carried, CoarseStart
+from usdsmoke.core.sequence.start import Carried, CoarseStart, on_device
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.views.scene import Scene
@@ -101,7 +101,7 @@ def stylize_window(
     context = make_context(
         styles, scene, config, progress, time_codes_per_second, start.coarse, n_frames
     )
-    known = start.carried.to(context.device) if start.carried is not None else None
+    known = on_device(start.carried, context.device)
     context = replace(context, known=known)
     for frame in run_frames(frames, context):
         if known is None or frame.time_code != known.time_code:

@@ -36,6 +36,10 @@ class ActiveSmoke(Placed):
         """Some of the voxels; chosen is [N] bool."""
         return ActiveSmoke(self.ijk[chosen], self.density[chosen], self.index_to_stage)
 
+    def to(self, device: torch.device) -> "ActiveSmoke":
+        """The same on a device."""
+        return ActiveSmoke(self.ijk.to(device), self.density.to(device), self.index_to_stage)
+
     @property
     def is_empty(self) -> bool:
         """Whether there is no voxel."""
