@@ -18,7 +18,6 @@ from usdsmoke.base.errors import (
     ConfigError,
     LayerError,
     StageError,
-    UsdSmokeError,
 )
 from usdsmoke.base.machine import package_versions, platform_name
 from usdsmoke.base.naming import find_look_layers
@@ -33,11 +32,8 @@ from usdsmoke.usd.layer_record import (
     record_values,
 )
 from usdsmoke.usd.look import shader_files
-from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
-from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import read_binding_version
-
-_AT_ONCE = max(1, min(4, os.cpu_count() or 1))  # files are read by processes of their own
+from usdsmoke.vdb.written import FILES_AT_ONCE, State, compare_written
 
 
 def verify(file: str | PathLike[str]) -> list[Change]:
@@ -128,32 +124,26 @@ def _check_results(item: FoundRecord) -> list[Change]:
         expected = "frames of the result"
         return [Change("result-missing", str(item.file), expected, "none that can be read")]
     files = [item.place(name) for name in item.record.results]
-    with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:
+    with ThreadPoolExecutor(max_workers=FILES_AT_ONCE) as pool:
         found = pool.map(_check_result, files, item.record.results.values())
     return [change for change in found if change is not None]
 
 
 def _check_result(path: Path, recorded: str) -> Change | None:
-    file, expected = str(path), f"grids {shown(recorded)}"
-    if not path.is_file():
-        return Change("result-missing", file, expected, "no file")
-    try:
-        promised = str(read_header(path).metadata.get(CONTENT_KEY, ""))
-        if promised != recorded:
-            what = (
-                f"a file of grids {shown(promised)}"
-                if promised
-                else "a file written by another program"
-            )
-            return Change("result-replaced", file, expected, what)
-        digest = hash_vdb_file(path, GridsConfig())
-    except BindingMissing as error:
-        return Change.note("unchecked", file, expected, str(error))
-    except UsdSmokeError as error:
-        return Change("result-edited", file, expected, f"a file that cannot be read: {error}")
-    if digest != recorded:
-        return Change("result-edited", file, expected, f"grids {shown(digest)}")
-    return None
+    written = compare_written(path, recorded)
+    file, expected, detail = str(path), f"grids {shown(recorded)}", written.found
+    if written.state == State.UNCHECKED:
+        return Change.note("unchecked", file, expected, detail)
+    if written.state == State.INTACT:
+        return None
+    kind, found = {
+        State.MISSING: ("result-missing", "no file"),
+        State.FOREIGN: ("result-replaced", "a file written by another program"),
+        State.OTHER: ("result-replaced", f"a file of grids {shown(detail)}"),
+        State.UNREADABLE: ("result-edited", f"a file that cannot be read: {detail}"),
+        State.CHANGED: ("result-edited", f"grids {shown(detail)}"),
+    }[written.state]
+    return Change(kind, file, expected, found)
 
 
 def _check_versions(item: FoundRecord) -> Iterator[Change]:

@@ -5,8 +5,8 @@ killed. On a file system without locks nothing is locked. Files are still publis
 work gives equal bits, so only time is lost.
 """
 
+import fcntl
 import os
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,11 +14,6 @@ from pathlib import Path
 
 from usdsmoke.base.errors import OutputExists, WriteFailed
 from usdsmoke.base.publish import make_folders, remove_empty
-
-try:
-    import fcntl
-except ImportError:  # Windows: a second process is not kept out there
-    pass
 
 _PATIENCE = 1.0  # seconds: another process may lock the folder briefly to clean up when it ends
 _LONG_PATIENCE = 300.0  # for tasks of a queue, which may be started twice, or a little early
@@ -43,12 +38,12 @@ class OutputLock:
         return self._alone and self._real
 
     def is_alone(self) -> bool:
-        """True if no other process is working in the folder; from then on none can begin.
+        """True if certainly no other process is working in the folder; from then on none can begin.
 
         Call it when the work is over: the call may lose a shared lock.
         """
-        self._alone = self._alone or _take(self._handle, alone=True) is not False
-        return self._alone
+        self._alone = self._alone or _take(self._handle, alone=True) is True
+        return self.excludes_others
 
 
 @contextmanager
@@ -71,7 +66,7 @@ def lock_output(
     try:
         yield lock
     finally:
-        if made and lock.is_alone():
+        if made and (lock.is_alone() or not real):
             remove_empty(made)
         os.close(handle)
 
@@ -140,8 +135,6 @@ def _is_same(handle: int, output: Path) -> bool:
 
 def _take(handle: int, alone: bool, waits: bool = False) -> bool | None:
     """True if the lock was acquired; None if there are no locks."""
-    if "fcntl" not in sys.modules:
-        return None
     kind = fcntl.LOCK_EX if alone else fcntl.LOCK_SH
     try:
         fcntl.flock(handle, kind if waits else kind | fcntl.LOCK_NB)

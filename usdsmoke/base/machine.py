@@ -23,6 +23,8 @@ GIB = 2**30
 MOST_THREADS = 4
 
 _DEVICES = Path("/dev")
+_PROCESSES = Path("/proc")
+_CONTROL_GROUPS = Path("/sys/fs/cgroup")
 _PACKAGES = ("usd-core", "torch", "numpy")
 _INSTALL = {  # module: what to do if it is missing
     "numpy": "pip install numpy",
@@ -68,18 +70,45 @@ def usable_threads() -> int:
 
 
 def available_memory_gib() -> float:
-    """Available memory, GiB: the machine's or the control group's, whichever is less.
+    """Available memory, GiB: the machine's or that of a control group, whichever is least.
 
-    Infinite if the system does not report it.
+    Counted are the process's own group and those above it, of either version of control groups.
+    Files that the system keeps in memory do not count as used, as it gives them up. Infinite if the
+    system does not report it.
     """
     candidates = [math.inf]
-    for line in _lines("/proc/meminfo"):
+    for line in _lines(_PROCESSES / "meminfo"):
         if line.startswith("MemAvailable:"):
             candidates.append(float(line.split()[1]) * 1024)
-    limit, used = _lines("/sys/fs/cgroup/memory.max"), _lines("/sys/fs/cgroup/memory.current")
-    if limit and used and limit[0].strip().isdigit():
-        candidates.append(float(limit[0]) - float(used[0]))
+    for folder, names in _control_groups():
+        limit, used = (_number(folder / name) for name in names)
+        if limit is not None and used is not None:
+            kept = dict(line.split() for line in _lines(folder / "memory.stat") if " " in line)
+            given_up = float(kept.get("total_inactive_file", kept.get("inactive_file", 0)))
+            candidates.append(max(limit - used + given_up, 0.0))
     return min(candidates) / GIB
+
+
+def _control_groups() -> Iterator[tuple[Path, tuple[str, str]]]:
+    """The folders that limit this process's memory, with the names of the limit and of the use."""
+    v1, v2 = ("memory.limit_in_bytes", "memory.usage_in_bytes"), ("memory.max", "memory.current")
+    for line in _lines(_PROCESSES / "self/cgroup"):
+        _, controllers, own = line.split(":", 2)
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root = _CONTROL_GROUPS / "memory" if controllers else _CONTROL_GROUPS
+        group = root / own.lstrip("/")
+        for folder in (group, *group.parents):
+            if folder.is_relative_to(root):
+                yield folder, v1 if controllers else v2
+
+
+def _number(file_path: Path) -> float | None:
+    """The number in a file; None if there is none, such as ``max``."""
+    try:
+        return float(_lines(file_path)[0])
+    except (IndexError, ValueError):
+        return None
 
 
 def free_disk_bytes(folder: Path) -> int:
@@ -90,9 +119,9 @@ def free_disk_bytes(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
-def _lines(file_path: str) -> list[str]:
+def _lines(file_path: Path) -> list[str]:
     try:
-        return Path(file_path).read_text(encoding="ascii").splitlines()
+        return file_path.read_text(encoding="ascii").splitlines()
     except OSError:
         return []
 

@@ -207,7 +207,7 @@ def find_look_layers(output: Path) -> list[Path]:
 
 
 def relative_asset_path(file_path: str | Path, folder: Path) -> str:
-    """``file_path`` relative to ``folder``, with / and a leading dot; absolute across drives.
+    """``file_path`` relative to ``folder``, with a leading dot.
 
     The leading dot makes USD look beside the layer only. If symbolic links lead to the file's
     folder, the shorter of the paths with and without resolved links is used: it stays valid however
@@ -218,9 +218,6 @@ def relative_asset_path(file_path: str | Path, folder: Path) -> str:
     """
     target, start = os.path.abspath(file_path), os.path.abspath(folder)
     followed = os.path.join(os.path.realpath(os.path.dirname(target)), os.path.basename(target))
-    try:
-        ways = [os.path.relpath(place, start).replace(os.sep, "/") for place in (target, followed)]
-    except ValueError:  # no relative path leads from one Windows drive to another
-        return target.replace(os.sep, "/")
+    ways = [os.path.relpath(place, start) for place in (target, followed)]
     relative = min(ways, key=lambda way: way.count("/"))
     return relative if relative.startswith("../") else f"./{relative}"

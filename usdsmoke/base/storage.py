@@ -73,13 +73,13 @@ def check_half(density: DenseField, time_code: float, brightest: float) -> None:
     Args:
         density: of the frame.
         time_code: of the frame.
-        brightest: the largest emission per density; 0 without an emission.
+        brightest: the largest number of the emission; 0 without one.
 
     Raises:
         ConfigError: with the largest number and the one that can be held.
     """
     largest = float(density.values.max(initial=0.0))
-    for name, bound in {"density": largest, "emission": brightest * largest}.items():
+    for name, bound in {"density": largest, "emission": brightest}.items():
         if bound > LARGEST_HALF:
             raise ConfigError(
                 f"16-bit floats hold numbers up to {LARGEST_HALF:g}, but the {name} at timeCode "

@@ -19,6 +19,19 @@ VELOCITY_NAMES = ("vel", "v", "velocity")
 GRID_SEPARATORS = (".", "_")  # vel.x in Houdini, velocity_x in Blender
 FIELD_SEPARATORS = ("_", ":", "")  # of a Volume's relationships: field:vel_x, field:vel:x
 
+_ROUNDING = 1e-9  # of elements of a matrix, relative to the largest of their kind
+
+
+def is_same_transform(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two matrices [4 4] are the same, apart from rounding.
+
+    A turn by 90 degrees has elements of 1e-16 where another program writes 0.
+    """
+    difference = np.abs(one - other)
+    linear, whole = np.abs(one[:3, :3]).max(), np.abs(one).max()
+    is_turned_alike = difference[:3, :3].max() <= _ROUNDING * linear
+    return bool(is_turned_alike and difference.max() <= _ROUNDING * whole)
+
 
 @dataclass(frozen=True)
 class FieldSource:

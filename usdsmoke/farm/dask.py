@@ -37,6 +37,8 @@ from usdsmoke.runs.progress import RunProgress, RunProgressCallback, ignore_prog
 if TYPE_CHECKING:
     from distributed import Client, Future
 
+# distributed raises asyncio's, which is a class of its own before Python 3.11
+_LATE = (TimeoutError, asyncio.TimeoutError)
 _CONNECT_S = 5.0  # for the scheduler to answer
 _WORKERS_S = 10.0  # for the first worker to appear
 _LOST_S = 60.0  # without any worker, after which the run stops
@@ -137,7 +139,7 @@ def _finished(client: "Client", futures: Sequence["Future"], names: Sequence[str
 
     waiting, seen = dict(zip(futures, range(len(futures)), strict=True)), time.monotonic()
     while waiting:
-        with suppress(TimeoutError), _asking(limited=True):
+        with suppress(*_LATE), _asking(limited=True):
             wait(list(waiting), timeout=_POLL_S, return_when="FIRST_COMPLETED")
         for future in [future for future in waiting if future.done()]:
             if _succeeded(future, names[waiting[future]]):
@@ -159,7 +161,7 @@ def _succeeded(future: "Future", name: str) -> bool:
         with _asking(limited=True):
             failure = future.exception(timeout=_POLL_S)
             failure = failure or future.result(timeout=_POLL_S)
-    except TimeoutError:
+    except _LATE:
         return False
     if isinstance(failure, KilledWorker):
         raise _lost(
@@ -179,7 +181,7 @@ def _check_workers(client: "Client", request: Request, found: Plan) -> list[str]
     try:
         with _asking(limited=True):
             client.wait_for_workers(1, timeout=_WORKERS_S)
-    except TimeoutError:
+    except _LATE:
         raise _no_workers() from None
     output = Path(request.output)
     made, token = make_folders(output), output / f".usdsmoke-{uuid.uuid4().hex}"
@@ -313,7 +315,7 @@ def _asking(limited: bool = False) -> Iterator[None]:
     try:
         yield
     except (Exception, asyncio.CancelledError) as error:
-        if limited and isinstance(error, TimeoutError):
+        if limited and isinstance(error, _LATE):
             raise
         raise _lost("the Dask scheduler has ended or dropped the run") from None
 

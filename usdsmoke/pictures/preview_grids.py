@@ -8,6 +8,7 @@ from usdsmoke.base.volume import (
     DenseField,
     FieldSource,
     VolumeFrame,
+    is_same_transform,
 )
 from usdsmoke.config.settings import Config
 from usdsmoke.usd.stage import ComposedVolume
@@ -23,7 +24,7 @@ def share_lattice(
         return False
     pairs = ((density, volume.density), (other, source))
     places = [field.index_to_world @ place.field_to_stage for field, place in pairs]
-    return np.allclose(places[0], places[1], rtol=1e-9, atol=0)
+    return is_same_transform(places[0], places[1])
 
 
 def grid_request(source: FieldSource, components: int | None) -> GridRequest:

@@ -4,10 +4,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from usdsmoke.base.errors import ConfigError, GridError
-from usdsmoke.base.volume import FieldSource, FrameSource, VolumeSource
+from usdsmoke.base.volume import FieldSource, FrameSource, VolumeSource, is_same_transform
 from usdsmoke.config.settings import Config
 from usdsmoke.planning.frames import VelocitySource, field_place
 from usdsmoke.vdb.header import FileHeader, GridHeader
@@ -109,7 +107,7 @@ def _field_copy(
     if field is None:
         reasons[name] = "some of the selected frames are without it"
         return None
-    if not np.allclose(field.field_to_stage, density.field_to_stage, rtol=1e-9, atol=0):
+    if not is_same_transform(field.field_to_stage, density.field_to_stage):
         reasons[name] = f"its field prim stands in another place than <{density.prim_path}>"
         return None
     request = GridRequest(field.grid_name, field.grid_index, field_place(field))

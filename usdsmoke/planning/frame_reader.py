@@ -126,10 +126,11 @@ def read_frame(
     (density,) = read(source.file_path, [density_request(source)], config.grids)
     moving = None
     if velocity is not None:
-        request = GridRequest(velocity.name, velocity.field.grid_index, field_place(velocity.field))
-        moving = read_velocity(velocity.field.file_path, request, config.grids, read)
-    if moving is not None and velocity is not None:
-        factor = _slowed(velocity.field, config)
+        field = velocity.field
+        moving = read_velocity(
+            field.file_path, velocity.grids, config.grids, read, field_place(field)
+        )
+        factor = _slowed(field, config)
         if config.stage.velocity_unit == "frame":
             factor *= time_codes_per_second
         moving = scale_field(moving, factor)
@@ -138,7 +139,7 @@ def read_frame(
         density=density,
         density_to_stage=source.field_to_stage,
         velocity=moving,
-        velocity_to_stage=velocity.field.field_to_stage if velocity and moving else None,
+        velocity_to_stage=None if velocity is None else velocity.field.field_to_stage,
         mask=None if mask is None else _read_mask(mask, config, read),
         mask_to_stage=None if mask is None else mask.field.field_to_stage,
         controls=frame.controls,

@@ -1,14 +1,18 @@
 """The grids of one timeCode of one Volume: which, and from which files; from headers alone."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from usdsmoke.base.errors import GridNotFound
+from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
 from usdsmoke.base.time_codes import format_time_code
-from usdsmoke.base.volume import GRID_SEPARATORS, FieldSource, FrameSource, VolumeSource
+from usdsmoke.base.volume import (
+    GRID_SEPARATORS,
+    FieldSource,
+    FrameSource,
+    VolumeSource,
+    is_same_transform,
+)
 from usdsmoke.config.settings import Config
 from usdsmoke.vdb.header import FileHeader, GridHeader
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
@@ -20,7 +24,7 @@ class VelocitySource:
     """The source of a frame's velocity: one grid of vectors or three of numbers in one file."""
 
     field: FieldSource  # gives the file and the transform
-    name: str  # the name for ``read_velocity``
+    name: str  # of the whole: of a grid, or what three grids have in common; "": as usual
     grids: tuple[GridHeader, ...]
 
     @property
@@ -66,23 +70,44 @@ def find_frame_velocity(
         GridNotFound: the named velocity does not exist.
     """
     sources = [frame.fields[name] for name in volume.velocity if name in frame.fields]
-    if sources and len({source.file_path for source in sources}) == 1:
-        names = [source.grid_name for source in sources]
-        base = names[0]  # one request for three components
-        for separator in GRID_SEPARATORS:
-            base = base.removesuffix(f"{separator}x")
-        grids = find_velocity(headers[sources[0].file_path], base) if base else ()
-        if grids:
-            return VelocitySource(sources[0], base, grids)
+    is_split = len({source.file_path for source in sources}) > 1
+    if sources and not is_split and (shown := _shown_velocity(sources, headers)):
+        return shown
     density, name = frame.fields[volume.density], config.stage.velocity
     header = headers[density.file_path]
     grids = find_velocity(header, name)
+    if is_split and not grids:
+        raise UnsupportedGrid(
+            f"the components of the velocity of <{volume.prim_path}> are in several files. Merge "
+            "them into one file, or name another velocity by stage.velocity."
+        )
     if name and not grids:
         raise GridNotFound(
             f'there is no velocity "{name}" on <{volume.prim_path}> or in '
             f"{Path(header.file_path).name} (found: {_listed(header)}). Correct stage.velocity."
         )
     return VelocitySource(density, name, grids) if grids else None
+
+
+def _shown_velocity(
+    sources: Sequence[FieldSource], headers: Mapping[str, FileHeader]
+) -> VelocitySource | None:
+    """The velocity that a Volume's own relationships show, all from one file.
+
+    Three relationships show a grid each. The grid of a single one may also be the first of three.
+    """
+    first, header = sources[0], headers[sources[0].file_path]
+    if len(sources) > 1 and all(source.grid_name for source in sources):
+        wanted = [GridRequest(one.grid_name, one.grid_index, field_place(one)) for one in sources]
+        parts = tuple(find_grid(header, request) for request in wanted)
+        return VelocitySource(first, first.grid_name, parts)
+    base = first.grid_name
+    for separator in GRID_SEPARATORS:
+        base = base.removesuffix(f"{separator}x")
+    grids = find_velocity(header, base) if base else ()
+    if len(grids) == 1:
+        grids = (find_grid(header, GridRequest(base, first.grid_index, field_place(first))),)
+    return VelocitySource(first, base, grids) if grids else None
 
 
 def find_frame_mask(
@@ -145,7 +170,7 @@ def is_copied(velocity: VelocitySource | None, density: FieldSource, config: Con
 
 def same_place(velocity: VelocitySource, density: FieldSource) -> bool:
     """True if the field prims have the same transform on the stage, apart from rounding."""
-    return np.allclose(velocity.field.field_to_stage, density.field_to_stage, rtol=1e-9, atol=0)
+    return is_same_transform(velocity.field.field_to_stage, density.field_to_stage)
 
 
 def density_request(source: FieldSource) -> GridRequest:

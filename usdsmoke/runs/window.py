@@ -12,10 +12,9 @@ from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.json_records import read_json
 from usdsmoke.base.machine import give_back_memory, usable_cpus
 from usdsmoke.base.publish import make_folders, publish_file
-from usdsmoke.base.storage import check_half
 from usdsmoke.core.sequence.controls import (
     are_independent,
-    brightest_emission,
+    check_storable,
     fine_octaves,
     frame_config,
 )
@@ -74,6 +73,8 @@ def check_storage(opened: OpenRun, tasks: Sequence[WindowTask]) -> None:
     Raises:
         ConfigError: with the frame, the largest number and the one that can be held.
     """
+    from usdsmoke.core.views.scene import frame_scene
+
     for task in tasks:
         if not task.volume.config.grids.half:
             continue
@@ -81,12 +82,11 @@ def check_storage(opened: OpenRun, tasks: Sequence[WindowTask]) -> None:
         for frame in task.frames:
             read = opened.reader.read(task.volume, frame)
             config = frame_config(task.volume.config, read.controls, read.time_code)
-            gamma_w = scene.gamma_w
-            if config is not task.volume.config and config.optics.gamma is not None:
-                gamma_w = config.optics.gamma / scene.reference_voxel_size
             if (curve := scene.thickening) is not None:
                 read = curve.of_frame(read)
-            check_half(read.density, read.time_code, brightest_emission(gamma_w, config))
+            own = config is not task.volume.config
+            gamma_w = (frame_scene(scene, config.optics.gamma) if own else scene).gamma_w
+            check_storable(read.density, read.time_code, gamma_w, config)
 
 
 def stylize_windows(

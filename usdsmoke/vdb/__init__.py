@@ -8,5 +8,6 @@
 - ``child``, ``worker``: both ends of the guarded process
 - ``binding``: finding OpenVDB's Python module
 - ``content_hash``, ``boxes``: facts about a dense field
+- ``written``: whether a file of a result still holds what a record promises
 - ``blend``, ``colour_grids``: the grids of a result
 """

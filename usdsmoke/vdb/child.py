@@ -35,7 +35,6 @@ from usdsmoke.config.run_sections import GridsConfig
 
 _GIB = 2**30
 _PATIENCE = 10  # wall-clock seconds per CPU second: disks and other processes are slow
-_OUT_OF_TIME = getattr(signal, "SIGPROF", 0)  # Windows has no such signal
 _STDERR_TAIL = 400  # bytes of the worker's last output that a message quotes
 _PREFIX = "usdsmoke-"  # of folders for temporary files
 _HELD = "held"  # a file in them, locked as long as their process lives
@@ -224,7 +223,7 @@ def _run(folder: str, config: GridsConfig, reader: str) -> None:
 
 def _ending(return_code: int, last_words: str, config: GridsConfig, reader: str) -> str:
     """Why a worker ended."""
-    if return_code == -_OUT_OF_TIME:
+    if return_code == -signal.SIGPROF:
         return f"it took more than {config.time_limit_s:.3g} s of CPU time and was stopped"
     if return_code < 0:
         try:
@@ -239,9 +238,6 @@ def _ending(return_code: int, last_words: str, config: GridsConfig, reader: str)
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
     """Processes that are started meanwhile never get Ctrl-C; this one gets it afterwards."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

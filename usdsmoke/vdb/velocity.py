@@ -10,8 +10,8 @@ from usdsmoke.base.errors import UnsupportedGrid
 from usdsmoke.base.volume import GRID_SEPARATORS, VELOCITY_NAMES, DenseField
 from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.boxes import union_box, values_in_box
-from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
-from usdsmoke.vdb.read import GridRequest, ReadGrids, find_grid, read_grids
+from usdsmoke.vdb.header import FileHeader, GridHeader
+from usdsmoke.vdb.read import GridRequest, ReadGrids, read_grids
 
 
 def find_velocity(header: FileHeader, name: str = "") -> tuple[GridHeader, ...]:
@@ -37,39 +37,30 @@ def find_velocity(header: FileHeader, name: str = "") -> tuple[GridHeader, ...]:
 
 def read_velocity(
     file_path: str | os.PathLike[str],
-    request: GridRequest,
+    grids: Sequence[GridHeader],
     config: GridsConfig,
     read: ReadGrids = read_grids,
-) -> DenseField | None:
+    where: str = "",
+) -> DenseField:
     """The velocity at voxel centres, [i j k 3], in whatever unit the file holds.
 
     A staggered grid is averaged to the centres; three grids of numbers are put together on the box
     that holds all of them.
 
     Args:
-        request: with an empty name, the usual names are tried; see ``find_velocity``.
-
-    Returns:
-        None when no name was given and the file has no velocity.
+        grids: one of vectors, or three of numbers, x, y, z; see ``find_velocity``.
+        where: for messages, such as the prim.
 
     Raises:
-        GridNotFound: the name that was given is not in the file.
         UnsupportedGrid: not vectors or three grids of numbers, or the three do not fit together.
         GridError: everything else that ``read_grids`` refuses.
     """
-    header = read_header(file_path)
-    grids = find_velocity(header, request.name)
-    if not grids:
-        if not request.name:
-            return None
-        grids = (find_grid(header, request),)  # raises; the message lists the file's grids
-    where = request.where
-    if len(grids) == 1:
-        index = request.index if request.name else grids[0].index
-        vector = GridRequest(grids[0].name, index, where, components=3)
-        return centre_staggered(read(file_path, [vector], config)[0])
-    parts = [GridRequest(grid.name, grid.index, where, components=1) for grid in grids]
-    return join_components(read(file_path, parts, config), where or os.fspath(file_path))
+    n_each = 3 if len(grids) == 1 else 1
+    requests = [GridRequest(grid.name, grid.index, where, components=n_each) for grid in grids]
+    found = read(file_path, requests, config)
+    if len(found) == 1:
+        return centre_staggered(found[0])
+    return join_components(found, where or os.fspath(file_path))
 
 
 def centre_staggered(field: DenseField) -> DenseField:
@@ -120,12 +111,18 @@ def join_components(parts: Sequence[DenseField], where: str) -> DenseField:
     values = np.stack([values_in_box(part, ijk_min, shape) for part in parts], axis=-1)
     return dataclasses.replace(
         first,
-        name=first.name[:-2],
+        name=_common_name(first.name),
         values=values,
         ijk_min=ijk_min,
         background=(background[0], background[1], background[2]),
         half=all(part.half for part in parts),
     )
+
+
+def _common_name(name: str) -> str:
+    """vel for vel.x; other names of an x component stay."""
+    is_usual = any(name.endswith(f"{separator}x") for separator in GRID_SEPARATORS)
+    return name[:-2] if is_usual else name
 
 
 def scale_field(field: DenseField, factor: float) -> DenseField:

@@ -12,6 +12,7 @@ from one request to the next: a worker ends after a refused request, and when it
 import importlib
 import json
 import os
+import resource
 import shutil
 import signal
 import sys
@@ -83,10 +84,6 @@ def _set_limits(n_bytes: int, cpu_seconds: float) -> None:
     A timer ends the process when its time is used up. ``RLIMIT_CPU`` is measured from the start of
     the process, in whole seconds of a clock that drifts from those that a program can read.
     """
-    try:
-        import resource
-    except ImportError:  # Windows has no such limits; the wall-clock limit still applies
-        return
     signal.setitimer(signal.ITIMER_PROF, cpu_seconds)
     for kind, limit in ((resource.RLIMIT_AS, n_bytes), (resource.RLIMIT_CORE, 0)):
         hard = resource.getrlimit(kind)[1]

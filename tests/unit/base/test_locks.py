@@ -1,5 +1,7 @@
 """Locks: one alone or several together, waiting, letting go, leaving nothing behind."""
 
+import errno
+import fcntl
 import threading
 import time
 from pathlib import Path
@@ -59,6 +61,21 @@ def test_several_may_share_and_keep_out_one_that_wants_to_be_alone(tmp_path: Pat
 def test_one_of_several_is_not_alone(tmp_path: Path) -> None:
     with lock_output(tmp_path, alone=False), lock_output(tmp_path, alone=False) as second:
         assert not second.is_alone()
+
+
+def test_nobody_is_certainly_alone_on_a_file_system_without_locks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is removed by one that is alone might be what another works on."""
+
+    def fail(handle: int, kind: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", fail)
+    with lock_output(tmp_path / "out", alone=False) as first:
+        with lock_output(tmp_path / "out", alone=False) as second:
+            assert not first.is_alone() and not second.is_alone()
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("alone", [True, False])

@@ -1,5 +1,6 @@
 """Frames: which velocity belongs to a density, and in which units it arrives."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,54 @@ def test_three_grids_arrive_as_one_of_vectors(tmp_path: Path, quick_grids: None)
     read = read_frame(volume, frame, Config(), velocity_of(stage, Config()))
     assert read.velocity is not None
     np.testing.assert_array_equal(read.velocity.values[0, 1, 0], [1, 2, 3])
+
+
+def split_velocity(folder: Path, relationships: Sequence[str], grids: Sequence[str]) -> Path:
+    """A stage whose velocity is three field prims, all of one file."""
+    values = [
+        raw_grid(np.full((2, 2, 2), number), name=name) for number, name in enumerate(grids, 1)
+    ]
+    write_raw(folder / "smoke.vdb", raw_grid(np.ones((2, 2, 2))), *values)
+    file_path = "asset filePath = @./smoke.vdb@"
+    bodies = [density_prim(file_path)]
+    for number, name in enumerate(grids):
+        bodies.append(density_prim(file_path, f"part{number}", grid=f'token fieldName = "{name}"'))
+    relations = ["rel field:density = </World/smoke/density>"]
+    for number, name in enumerate(relationships):
+        relations.append(f"rel field:{name} = </World/smoke/part{number}>")
+    body = volume_prim("\n".join(bodies), relations="\n".join(relations))
+    return write_text(folder / "s.usda", world(body))
+
+
+@pytest.mark.parametrize(
+    ("relationships", "grids"),
+    [
+        (("velx", "vely", "velz"), ("velx", "vely", "velz")),
+        (("vel_x", "vel_y", "vel_z"), ("u", "v", "w")),
+        (("vel:x", "vel:y", "vel:z"), ("vel.x", "vel.y", "vel.z")),
+    ],
+)
+def test_three_relationships_show_a_grid_each(
+    tmp_path: Path, quick_grids: None, relationships: Sequence[str], grids: Sequence[str]
+) -> None:
+    stage = split_velocity(tmp_path, relationships, grids)
+    velocity, (volume, frame) = velocity_of(stage, Config()), only_frame(stage, Config())
+    read = read_frame(volume, frame, Config(), velocity)
+    assert read.velocity is not None
+    np.testing.assert_array_equal(read.velocity.values[0, 1, 0], [1, 2, 3])
+
+
+def test_components_in_several_files_are_refused_where_no_other_velocity_is(
+    tmp_path: Path, quick_grids: None
+) -> None:
+    names = ("vel_x", "vel_y", "vel_z")
+    stage = split_velocity(tmp_path, names, names)
+    write_raw(tmp_path / "other.vdb", raw_grid(np.ones((2, 2, 2)), name="vel_z"))
+    head, part, tail = stage.read_text().partition('"part2"')
+    stage.write_text(head + part + tail.replace("smoke.vdb", "other.vdb", 1))
+    write_raw(tmp_path / "smoke.vdb", raw_grid(np.ones((2, 2, 2))))
+    with pytest.raises(UnsupportedGrid, match="several files"):
+        velocity_of(stage, Config())
 
 
 def test_without_a_velocity_source_no_velocity_is_read(tmp_path: Path, quick_grids: None) -> None:

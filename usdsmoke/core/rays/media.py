@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usdsmoke.base.errors import ShapeError
-from usdsmoke.base.volume import DenseField
+from usdsmoke.base.volume import DenseField, is_same_transform
 
 _THICKEST = 1e30  # extinction; thicker smoke hides what is behind it no better
 
@@ -51,7 +51,7 @@ def make_media(
     places = [to_stage] if emission_to_stage is None else [to_stage, emission_to_stage]
     lattices = [_lattice(*item) for item in zip(fields, places, strict=True)]
     groups = [[field] for field in fields]
-    if len(fields) == 2 and np.allclose(lattices[0], lattices[1], rtol=1e-12, atol=0):
+    if len(fields) == 2 and is_same_transform(lattices[0], lattices[1]):
         groups = [fields]
     media = []
     for group, lattice in zip(groups, lattices, strict=False):

@@ -6,7 +6,9 @@ No torch here, because the plan uses it.
 from collections.abc import Iterable, Sequence
 
 from usdsmoke.base.errors import ConfigError
-from usdsmoke.base.volume import FrameControls, VolumeSource
+from usdsmoke.base.naming import EMISSION
+from usdsmoke.base.storage import check_half
+from usdsmoke.base.volume import DenseField, FrameControls, VolumeSource
 from usdsmoke.config.look_sections import ColourConfig
 from usdsmoke.config.setting_model import extra_of
 from usdsmoke.config.settings import Config, declared_settings, style_shares
@@ -147,16 +149,35 @@ def step_iterations(
     return octaves
 
 
-def brightest_emission(gamma_w: float, config: Config) -> float:
-    """The largest emission per density, in light per stage unit; 0 without a colour step.
+def check_storable(density: DenseField, time_code: float, gamma_w: float, config: Config) -> None:
+    """Refuse 16-bit floats that cannot hold what a frame will have, where they are asked for.
 
     Args:
+        density: of the frame, as it will be stylized.
+        gamma_w: its extinction per density, 1/stage unit.
+        config: of the frame.
+
+    Raises:
+        ConfigError: see ``check_half``.
+    """
+    if config.grids.half:
+        densest = float(density.values.max(initial=0.0))
+        check_half(density, time_code, brightest_emission(densest, gamma_w, config))
+
+
+def brightest_emission(densest: float, gamma_w: float, config: Config) -> float:
+    """The largest number that the emission's grid may hold; 0 where a frame gets no emission.
+
+    Args:
+        densest: the frame's largest density.
         gamma_w: extinction per density, 1/stage unit.
         config: of the frame.
     """
-    if "colour" not in config.optimize.steps:
+    if EMISSION not in config.painted:
         return 0.0
-    return BRIGHTEST * gamma_w * config.optimize.strength / 2.0 ** (config.optics.exposure or 0.0)
+    exposure = 2.0 ** (config.optics.exposure or 0.0)
+    per_density = BRIGHTEST * gamma_w * config.optimize.strength / exposure
+    return per_density if config.layer.emission_mode == "perDensity" else per_density * densest
 
 
 def network_alone(config: Config) -> bool:

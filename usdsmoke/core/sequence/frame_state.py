@@ -15,7 +15,6 @@ from torch import Tensor
 
 from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.frame_report import Estimate, FrameReport, Progress, ProgressCallback
-from usdsmoke.base.storage import check_half
 from usdsmoke.base.volume import DenseField, Scattering, VolumeFrame
 from usdsmoke.config.settings import Config
 from usdsmoke.core.fields.potential import Displacement
@@ -23,7 +22,7 @@ from usdsmoke.core.fields.resample import refine_field
 from usdsmoke.core.generator.network import Generator
 from usdsmoke.core.sequence.controls import (
     are_independent,
-    brightest_emission,
+    check_storable,
     frame_config,
     step_iterations,
     without_network,
@@ -323,8 +322,7 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     if curve is not None and (mask is not None or config.optimize.strength < 1):
         density = changed_in_part(raw, density, source, mask, config.optimize.strength)
         source = smoke = activate(density, frame.density_to_stage, context.device)
-    if config.grids.half:
-        check_half(density, frame.time_code, brightest_emission(scene.gamma_w, config))
+    check_storable(density, frame.time_code, scene.gamma_w, config)
     left_out, n_outside, sight = _why_left_out(source, mask, visibility, config), None, None
     if visibility is not None:
         n_outside = int((visibility.at(source.positions) == 0).sum())

@@ -15,15 +15,15 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdVol
+import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import LayerError, StageError
 from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS, relative_asset_path
+from usdsmoke.base.volume import is_same_transform
 from usdsmoke.usd.field_samples import FIELD_PREFIX, FieldSamples, field_targets
 from usdsmoke.usd.look.records import StylizedVolume
 from usdsmoke.usd.values import asset_value, value_at
-
-_CLOSE = 1e-9  # of matrix elements: the same ops evaluated twice
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,8 @@ def _same_place(one: Usd.Prim, other: Usd.Prim, volume: StylizedVolume) -> bool:
     """Whether two field prims have equal local-to-world matrices at the Volume's timeCodes."""
     for time_code in volume.source.time_codes:
         xforms = UsdGeom.XformCache(time_code)
-        matrices = [xforms.GetLocalToWorldTransform(prim) for prim in (one, other)]
-        if not Gf.IsClose(matrices[0], matrices[1], _CLOSE):
+        first, second = (np.array(xforms.GetLocalToWorldTransform(prim)) for prim in (one, other))
+        if not is_same_transform(first, second):
             return False
     return True
 

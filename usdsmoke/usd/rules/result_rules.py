@@ -3,23 +3,21 @@
 import os
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 
 from pxr import Ar, Gf, Sdf, Usd, UsdVol
 
-from usdsmoke.base.errors import BindingMissing, GridError, LayerError, StageError
+from usdsmoke.base.errors import GridError, LayerError, StageError
 from usdsmoke.base.record_format import hash_file
-from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.usd.field_samples import FieldSamples, field_targets
 from usdsmoke.usd.layer_record import LAYER_HASH, layer_digest, read_record, record_values
 from usdsmoke.usd.rules.facts import Problem, Severity, collect_fields, grouped
 from usdsmoke.usd.rules.staleness import rewritten_sources, switched_variants
 from usdsmoke.usd.schema import LOOK_API
-from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
+from usdsmoke.vdb.content_hash import CONTENT_KEY
 from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.written import FILES_AT_ONCE, State, compare_written
 
-_AT_ONCE = max(1, min(4, os.cpu_count() or 1))  # files are read by processes of their own
 _REDO = "Redo its frame: the command that made it, with --frames."
 
 
@@ -52,7 +50,7 @@ def check_layer_results(layer: Sdf.Layer) -> list[Problem]:
             "hand over the folder."
         )
         return [Problem(Severity.ERROR, "", text)]
-    with ThreadPoolExecutor(max_workers=_AT_ONCE) as pool:
+    with ThreadPoolExecutor(max_workers=FILES_AT_ONCE) as pool:
         found = list(pool.map(_compare, results.keys(), results.values()))
     problems = [
         Problem(severity, "", f"{os.path.basename(file_path)} {trouble}")
@@ -219,26 +217,17 @@ def _promised(file_path: str) -> str:
 
 def _compare(file_path: str, recorded: str) -> tuple[Severity, str]:
     """What is wrong with a file of ours; empty if it is unchanged."""
-    if not os.path.isfile(file_path):
-        return Severity.ERROR, f"is missing, but it belongs to the result. {_REDO}"
-    promised = _promised(file_path)
-    if promised != recorded:
-        return Severity.ERROR, (
-            f"is {'another' if promised else 'no'} file of usdsmoke, and not that of this result. "
-            f"{_REDO}"
-        )
-    try:
-        state = os.stat(file_path)
-        found = _hash_once(file_path, state.st_mtime_ns, state.st_size)
-    except BindingMissing as error:
-        return Severity.INFO, f"was not compared with its hash: {error}"
-    except (GridError, StageError, ArithmeticError) as error:
-        return Severity.ERROR, f"cannot be compared with its hash: {error}"
-    if found == recorded:
+    written = compare_written(file_path, recorded)
+    state, why = written.state, written.found
+    if state == State.INTACT:
         return Severity.INFO, ""
-    return Severity.ERROR, f"was changed after it was written. {_REDO}"
-
-
-@lru_cache(maxsize=4096)
-def _hash_once(file_path: str, _modified: int, _size: int) -> str:
-    return hash_vdb_file(file_path, GridsConfig())
+    if state == State.UNCHECKED:
+        return Severity.INFO, f"was not compared with its hash: {why}"
+    trouble = {
+        State.MISSING: f"is missing, but it belongs to the result. {_REDO}",
+        State.FOREIGN: f"is no file of usdsmoke, and not that of this result. {_REDO}",
+        State.OTHER: f"is another file of usdsmoke, and not that of this result. {_REDO}",
+        State.UNREADABLE: f"cannot be compared with its hash: {why}",
+        State.CHANGED: f"was changed after it was written. {_REDO}",
+    }
+    return Severity.ERROR, trouble[state]

@@ -11,7 +11,7 @@ from pxr import Sdf
 from usdsmoke.base.errors import FileUnreadable, GridError, StageError
 from usdsmoke.base.record_format import RunRecord, SourceGrid, hash_file
 from usdsmoke.base.time_codes import format_time_codes
-from usdsmoke.base.volume import GRID_SEPARATORS, StageSource
+from usdsmoke.base.volume import StageSource
 from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.content_hash import hash_fields
 from usdsmoke.vdb.header import read_header
@@ -165,18 +165,15 @@ def _grid_hashes(path: str, source: SourceGrid, factor: float) -> set[str]:
     """
     try:
         labels = source.grid.split(", ")
-        grids = [grid for grid in read_header(path).grids if grid.label in labels]
-        if len(grids) != len(labels):
+        by_label = {grid.label: grid for grid in read_header(path).grids}
+        if not by_label.keys() >= set(labels):
             return set()
+        grids = [by_label[label] for label in labels]
         requests = [GridRequest(grid.name, grid.index) for grid in grids]
         found = {hash_fields(read_grids(path, requests, GridsConfig()))}
         if source.field == "velocity":
-            base = grids[0].name
-            if len(labels) > 1:  # one request for three components
-                base = labels[0].removesuffix("x").rstrip("".join(GRID_SEPARATORS))
-            velocity = read_velocity(path, GridRequest(base), GridsConfig())
-            if velocity is not None:
-                found.add(hash_fields([scale_field(velocity, factor)]))
+            velocity = read_velocity(path, grids, GridsConfig())
+            found.add(hash_fields([scale_field(velocity, factor)]))
         return found
     except (GridError, StageError, ArithmeticError):
         return set()

@@ -123,10 +123,7 @@ def _beside_root(layer: Sdf.Layer, prim: Usd.Prim) -> str:
     root = prim.GetStage().GetRootLayer()
     if not (layer.realPath and root.realPath):
         return str(layer.identifier)
-    try:
-        return os.path.relpath(layer.realPath, os.path.dirname(root.realPath))
-    except ValueError:  # there is no relative way from one Windows drive to another
-        return str(layer.GetDisplayName())
+    return os.path.relpath(layer.realPath, os.path.dirname(root.realPath))
 
 
 def _density_prim(volume: Usd.Prim, density: str, targets: list[Sdf.Path]) -> Usd.Prim:
