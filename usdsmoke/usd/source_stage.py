@@ -16,8 +16,8 @@ from usdsmoke.base.errors import AssetNotResolved, ConfigError, LayerError
 from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.publish import publish_file
 from usdsmoke.usd.field_tokens import GRID_CLASSES, data_type, field_class
-from usdsmoke.usd.values import FRAME_PATTERN, extent_value
-from usdsmoke.vdb.boxes import corners_extent, union_extent
+from usdsmoke.usd.values import FRAME_PATTERN, Box, extent_value, held_extents
+from usdsmoke.vdb.boxes import union_extent
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 
 
@@ -198,20 +198,16 @@ def _author_field(
 
 def _author_extent(volume: UsdVol.Volume, headers: dict[int | None, FileHeader]) -> None:
     """The box of each file's grids, from the headers; a file that does not say it has none."""
-    attribute = volume.CreateExtentAttr()
+    attribute, boxes = volume.CreateExtentAttr(), dict[float, Box | None]()
     for code, header in headers.items():
-        boxes = [box for grid in header.grids if (box := _grid_box(grid)) is not None]
-        if boxes:
-            time = Usd.TimeCode.Default() if code is None else Usd.TimeCode(code)
-            attribute.Set(extent_value(*union_extent(boxes)), time)
-
-
-def _grid_box(grid: GridHeader) -> tuple[np.ndarray, np.ndarray] | None:
-    """Corners of a grid's active box, voxels whole, in the file's world space."""
-    if grid.bbox_min is None or grid.bbox_max is None or grid.index_to_world is None:
-        return None
-    half = np.full(3, 0.5)
-    return corners_extent(grid.bbox_min - half, grid.bbox_max + half, grid.index_to_world)
+        known = [grid.extent for grid in header.grids if grid.extent is not None]
+        box = union_extent(known) if known else None
+        if code is not None:
+            boxes[code] = box
+        elif box is not None:
+            attribute.Set(extent_value(*box))
+    for time_code, value in held_extents(boxes).items():
+        attribute.Set(value, time_code)
 
 
 def _prim_name(pattern: str) -> str:

@@ -3,6 +3,7 @@
 import os
 import re
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,6 +11,9 @@ import numpy as np
 from pxr import Ar, Gf, Sdf, Usd, UsdGeom, Vt
 
 from usdsmoke.base.naming import relative_asset_path
+from usdsmoke.vdb.boxes import union_extent
+
+Box = tuple[np.ndarray, np.ndarray]  # smallest and largest corner, [3] float64 each
 
 _Value = TypeVar("_Value")
 
@@ -40,6 +44,26 @@ def extent_value(low: np.ndarray, high: np.ndarray) -> Vt.Vec3fArray:
     least = np.where(least > low, np.nextafter(least, np.float32(-np.inf)), least)
     most = np.where(most < high, np.nextafter(most, np.float32(np.inf)), most)
     return Vt.Vec3fArray([Gf.Vec3f(least.tolist()), Gf.Vec3f(most.tolist())])
+
+
+def held_extents(boxes: Mapping[float, Box | None]) -> dict[float, Vt.Vec3fArray]:
+    """Time samples of an ``extent``, of files that are held from one timeCode to the next.
+
+    USD interpolates extents linearly. Each sample therefore also encloses the box of the sample
+    before it, so that what is shown lies inside at every moment in between.
+
+    Args:
+        boxes: by timeCode, smallest and largest corner; None where nothing is known.
+    """
+    whole = [box for box in boxes.values() if box is not None]
+    extents: dict[float, Vt.Vec3fArray] = {}
+    before: Box | None = None
+    for code in sorted(boxes):
+        known = [box for box in (before, boxes[code]) if box is not None] or whole
+        if known:
+            extents[code] = extent_value(*union_extent(known))
+        before = boxes[code]
+    return extents
 
 
 def ancestors(prim: Usd.Prim) -> list[Usd.Prim]:

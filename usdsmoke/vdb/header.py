@@ -19,6 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from usdsmoke.base.errors import AssetNotResolved, DamagedFile, UnsupportedGrid
+from usdsmoke.vdb.boxes import box_extent
 
 _MAX_ITEMS = 65_536  # metadata entries or grids; real files have tens
 _MAX_TEXT = 65_536  # bytes of a name or type
@@ -146,6 +147,16 @@ class GridHeader:
             return None
         i, j, k = (high - low + 1 for low, high in zip(self.bbox_min, self.bbox_max, strict=True))
         return (i, j, k)
+
+    @property
+    def extent(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Lowest and highest corner of the active box in grid world, [3] each, with whole voxels.
+
+        None where the header does not say.
+        """
+        if self.bbox_min is None or self.box_shape is None or self.index_to_world is None:
+            return None
+        return box_extent(self.bbox_min, self.box_shape, self.index_to_world)
 
     @property
     def label(self) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdVol
 
-from tests.fixtures.grids_fixtures import raw_grid, write_raw
+from tests.fixtures.grids_fixtures import make_field, raw_grid, uniform, write_raw
 from tests.fixtures.usd_fixtures import (
     density_prim,
     needs_usd,
@@ -25,6 +25,8 @@ from usdsmoke.ui.cli.text import source_stage_text
 from usdsmoke.usd.rules import validate
 from usdsmoke.usd.source_stage import write_source_stage
 from usdsmoke.usd.stage import find_volumes, open_stage
+from usdsmoke.vdb.header import read_header
+from usdsmoke.vdb.write import write_frame
 
 
 def make(folder, codes=(8, 9, 10), pattern="plume.####.vdb", **options):
@@ -55,6 +57,22 @@ def test_the_extent_encloses_whole_voxels(tmp_path):
     # 4 x 3 x 2 voxels of edge 0.5, centres at whole multiples
     assert np.allclose(extent, [(-0.25, -0.25, -0.25), (1.75, 1.25, 0.75)])
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
+
+
+def test_the_extent_holds_what_is_shown_between_two_files(tmp_path):
+    """USD interpolates extents, and holds files."""
+    for code in (8, 9, 10):
+        field = make_field(ijk_min=(100 * code, 0, 0), index_to_world=uniform(1.0))
+        (tmp_path / "cache").mkdir(exist_ok=True)
+        write_frame(tmp_path / f"cache/plume.{code:04d}.vdb", [field], {}, half=False)
+    made = write_source_stage(str(tmp_path / "cache/plume.####.vdb"), tmp_path / "a.usda", 0.01)
+    volume = UsdVol.Volume(Usd.Stage.Open(str(made.file)).GetPrimAtPath(made.prim_path))
+    shown = [corner[0] for corner in read_header(tmp_path / "cache/plume.0008.vdb").grids[0].extent]
+    for code in (8, 8.25, 8.5, 8.99):
+        low, high = volume.GetExtentAttr().Get(code)
+        assert low[0] <= shown[0] and shown[1] <= high[0]
+    low, high = volume.GetExtentAttr().Get(10)
+    assert low[0] > shown[1]
 
 
 @needs_usd(26, 5)

@@ -9,12 +9,10 @@ from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.base.volume import WrittenFrame
 from usdsmoke.usd.field_samples import FieldSamples
 from usdsmoke.usd.look.records import StylizedVolume
-from usdsmoke.usd.values import ancestors, extent_value, value_at
-from usdsmoke.vdb.boxes import box_extent, corners_extent, union_extent
+from usdsmoke.usd.values import Box, ancestors, extent_value, held_extents, value_at
+from usdsmoke.vdb.boxes import corners_extent, union_extent
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, find_grid
-
-Box = tuple[np.ndarray, np.ndarray]  # smallest and largest corner, [3] float64 each
 
 
 def author_extent(
@@ -25,9 +23,7 @@ def author_extent(
 ) -> None:
     """Author ``extent`` on the Volume: one default where it never changes, else time samples too.
 
-    USD interpolates extents linearly while files are held. Each sample therefore also encloses the
-    box of the sample before it, so that what is shown lies inside at every moment in between. A
-    Volume that is empty at every timeCode gets no extent.
+    See ``held_extents``. A Volume that is empty at every timeCode gets no extent.
     """
     boxes = volume_boxes(volume_prim, density, volume)
     all_boxes = _union(list(boxes.values()))
@@ -35,15 +31,10 @@ def author_extent(
         return
     attribute = Sdf.AttributeSpec(volume_spec, "extent", Sdf.ValueTypeNames.Float3Array)
     attribute.default = extent_value(*all_boxes)
-    codes = sorted(boxes)
-    enclosing = [
-        _union([boxes[code], boxes[codes[max(n - 1, 0)]]]) or all_boxes
-        for n, code in enumerate(codes)
-    ]
-    extents = [extent_value(*box) for box in enclosing]
-    if all(value == attribute.default for value in extents):
+    extents = held_extents(boxes)
+    if all(value == attribute.default for value in extents.values()):
         return
-    for code, value in zip(codes, extents, strict=True):
+    for code, value in extents.items():
         volume_spec.layer.SetTimeSample(attribute.path, code, value)
 
 
@@ -91,10 +82,9 @@ def _header_box(density: Usd.Prim, volume_prim: Usd.Prim, code: float) -> Box | 
         )
     except UsdSmokeError:
         return None
-    if grid.bbox_min is None or grid.box_shape is None or grid.index_to_world is None:
+    if grid.extent is None or matrix is None:
         return None
-    box = box_extent(grid.bbox_min, grid.box_shape, grid.index_to_world)
-    return None if matrix is None else corners_extent(*box, matrix)
+    return corners_extent(*grid.extent, matrix)
 
 
 def _frame_box(frame: WrittenFrame, density_to_volume: np.ndarray | None) -> Box | None:

@@ -17,8 +17,8 @@ from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.usd.field_samples import FieldSamples, field_targets, usd_time
 from usdsmoke.usd.field_tokens import DATA_TYPES
 from usdsmoke.usd.rules.facts import collect_fields, field_to_stage, sample_grid
-from usdsmoke.usd.values import extent_value, value_at
-from usdsmoke.vdb.boxes import box_extent, corners_extent, union_extent
+from usdsmoke.usd.values import Box, extent_value, held_extents, value_at
+from usdsmoke.vdb.boxes import corners_extent, union_extent
 
 if TYPE_CHECKING:
     from pxr import UsdValidation
@@ -29,27 +29,25 @@ _ALWAYS = Gf.Interval(-math.inf, math.inf)
 
 def author_missing_extent(volume: Usd.Prim, _layer: Sdf.Layer) -> bool:
     """The box of all grids of a Volume, from the headers of its files, at every timeCode."""
-    boxes: dict[float | None, list[tuple[np.ndarray, np.ndarray]]] = {}
+    boxes: dict[float | None, list[Box]] = {}
     for field in collect_fields(volume, _ALWAYS):
         for sample in field.samples:
             grid = sample_grid(sample)
-            if grid is None or grid.bbox_min is None or grid.box_shape is None:
-                continue
-            if grid.index_to_world is None:
+            if grid is None or grid.extent is None:
                 continue
             place = field_to_stage(volume, sample.time_code)
             if not abs(np.linalg.det(place[:3, :3])) > 0:
                 continue
             to_volume = field_to_stage(field.prim, sample.time_code) @ np.linalg.inv(place)
-            box = box_extent(grid.bbox_min, grid.box_shape, grid.index_to_world)
-            boxes.setdefault(sample.time_code, []).append(corners_extent(*box, to_volume))
+            box = corners_extent(*grid.extent, to_volume)
+            boxes.setdefault(sample.time_code, []).append(box)
     if not boxes:
         return False
-    extent = volume.GetAttribute("extent")
-    extent.Set(extent_value(*union_extent([box for each in boxes.values() for box in each])))
-    for code, each in boxes.items():
-        if code is not None:
-            extent.Set(extent_value(*union_extent(each)), code)
+    extent, joined = volume.GetAttribute("extent"), {k: union_extent(v) for k, v in boxes.items()}
+    extent.Set(extent_value(*union_extent(list(joined.values()))))
+    held = {code: box for code, box in joined.items() if code is not None}
+    for code, value in held_extents(held).items():
+        extent.Set(value, code)
     return True
 
 
