@@ -42,6 +42,8 @@ class StandIn:
         if window is not None and window == self.bad:
             if self.what == "kill":
                 os.kill(os.getpid(), signal.SIGKILL)
+            if self.what == "bug":
+                raise KeyError("a key")
             raise NonFiniteError("there is a NaN. Repair it.")
         if window is not None and self.what == "wait":
             time.sleep(60)
@@ -73,7 +75,11 @@ def test_processes_share_the_windows_after_the_coarse_step(tmp_path, monkeypatch
 
 @pytest.mark.parametrize(
     ("what", "error", "text"),
-    [("kill", ClusterError, "window 1 failed.*exit code -9.*--jobs"), ("", NonFiniteError, "NaN")],
+    [
+        ("kill", ClusterError, "window 1 failed.*exit code -9.*--jobs"),
+        ("bug", RuntimeError, "window 1 failed: KeyError: 'a key'"),
+        ("", NonFiniteError, "NaN"),
+    ],
 )
 def test_what_ends_a_process_ends_the_run_before_it_is_assembled(
     tmp_path, monkeypatch, what: str, error: type[Exception], text: str

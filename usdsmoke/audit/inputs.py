@@ -12,7 +12,7 @@ from typing import Literal
 
 from usdsmoke.audit.record import FoundRecord
 from usdsmoke.base.errors import BindingMissing, ConfigError, FeatureError, UsdSmokeError
-from usdsmoke.base.record_format import RunRecord, hash_file
+from usdsmoke.base.record_format import SHOWN_DIGITS, RunRecord, hash_file
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import StageSource
 from usdsmoke.config.resolve import recorded_settings
@@ -26,8 +26,6 @@ from usdsmoke.runs.changes import find_changes
 from usdsmoke.runs.run import find_runs
 from usdsmoke.usd.rules import switched_files, switched_variants, written_at
 from usdsmoke.usd.stage import read_source
-
-_SHOWN = 12  # digits of a hash that people compare
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class Change:
 
 def shown(digest: str) -> str:
     """As much of a hash as people compare."""
-    return digest[:_SHOWN] or "none"
+    return digest[:SHOWN_DIGITS] or "none"
 
 
 def recorded_config(item: FoundRecord) -> Config:

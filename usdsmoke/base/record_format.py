@@ -19,6 +19,7 @@ from usdsmoke.base.json_records import JsonRecord, read_json
 
 RECORD_FORMAT = 1  # rises when a field changes its meaning
 RECORD_FILE = "provenance.json"  # in the folder of a run
+SHOWN_DIGITS = 12  # of a hash, for people to compare
 SOFTWARE_PACKAGE = "org.usdsmoke.usdsmoke"  # reverse-domain, as UsdMedia's authorship asks for
 
 

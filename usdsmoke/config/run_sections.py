@@ -9,6 +9,7 @@ from typing import Literal
 from usdsmoke.config.setting_model import Section, setting
 
 OWN_NETWORK = "network"  # optimize.start of a run that trains one itself
+EVERYTHING = "all"  # in layer.copy_fields
 
 
 # A table to read: a setting takes two or three lines.

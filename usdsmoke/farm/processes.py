@@ -7,8 +7,9 @@ one process with several threads. The result has the same bits, whatever their n
 import multiprocessing
 import os
 import signal
+import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -130,6 +131,14 @@ def _check_memory(plan: Plan, n_processes: int) -> None:
         )
 
 
+@dataclass(frozen=True)
+class _Unexpected:
+    """An error of a process that usdsmoke does not know, which may not be one that can be sent."""
+
+    text: str
+    trace: str
+
+
 class _Pool:
     """Processes that each do one window after another."""
 
@@ -189,13 +198,17 @@ class _Pool:
             message = connection.recv()
         except (EOFError, ConnectionError):
             process.join(_END_S)
-            name = "the coarse step" if window is None else f"window {window}"
             raise ClusterError(
-                f"{name} failed: its process ended with exit code {process.exitcode}. If memory "
-                "ran out, pass fewer --jobs. Finished windows are kept: run the same command again."
+                f"{self._name(window)} failed: its process ended with exit code "
+                f"{process.exitcode}. If memory ran out, pass fewer --jobs. Finished windows are "
+                "kept: run the same command again."
             ) from None
         if isinstance(message, UsdSmokeError):
             raise message
+        if isinstance(message, _Unexpected):
+            error = RuntimeError(f"{self._name(window)} failed: {message.text}")
+            error.details = message.trace  # type: ignore[attr-defined]
+            raise error
         if isinstance(message, RunProgress):
             self._report(window, message)
             return
@@ -203,6 +216,10 @@ class _Pool:
         if window is not None:
             self.n_done += 1
             self._shares[window] = 1.0
+
+    @staticmethod
+    def _name(window: int | None) -> str:
+        return "the coarse step" if window is None else f"window {window}"
 
     def _report(self, window: int | None, report: RunProgress) -> None:
         """Progress of one window as progress of the run."""
@@ -228,6 +245,11 @@ def _work(connection: Connection, tasks: Tasks) -> None:
                 tasks.run(window, connection.send)
             except UsdSmokeError as error:
                 connection.send(error)
+            except Exception as error:
+                if isinstance(error, MemoryError):
+                    raise  # the process ends, and what is told is why that may be
+                text = f"{type(error).__name__}: {error}"
+                connection.send(_Unexpected(text, traceback.format_exc()))
             else:
                 connection.send(None)
     except (EOFError, ConnectionError, KeyboardInterrupt):

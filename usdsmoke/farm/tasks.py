@@ -7,8 +7,7 @@ from usdsmoke.pipeline import Request, plan_with_notes, run_coarse, run_window
 from usdsmoke.planning.job import Job, prepare_job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.planning.visibility import check_visibility
-from usdsmoke.runs.delivery import check_delivery
-from usdsmoke.runs.identity import Identity
+from usdsmoke.runs.delivery import check_targets
 from usdsmoke.runs.opening import find_growth, frames_again, refuse_result
 from usdsmoke.runs.progress import RunProgressCallback
 
@@ -76,6 +75,6 @@ def divide_job(job: Job) -> Tasks:
         if repeated is not None:
             job, _, numbers = repeated
             return Tasks(job.request.with_config(job.config), job.plan, frozenset(numbers))
-    check_delivery(job.plan, job.output)
-    refuse_result(job, Identity(job), find_growth(job))
+    check_targets(job)
+    refuse_result(job, find_growth(job))
     return Tasks(job.request, job.plan)

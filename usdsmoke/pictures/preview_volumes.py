@@ -9,8 +9,6 @@ from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.pictures.preview_smoke import Smoke, compose_one
 from usdsmoke.usd.stage import find_volumes
 
-__all__ = ["Smoke", "find_smoke"]
-
 
 def find_smoke(stage: Usd.Stage, config: StageConfig) -> Smoke:
     """The Volumes of a stage at the requested timeCodes.

@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 
 from usdsmoke.base.errors import ConfigError, GridError
 from usdsmoke.base.volume import FieldSource, FrameSource, VolumeSource, is_same_transform
+from usdsmoke.config.run_sections import EVERYTHING
 from usdsmoke.config.settings import Config
 from usdsmoke.planning.frames import VelocitySource, field_place
-from usdsmoke.vdb.header import FileHeader, GridHeader
+from usdsmoke.vdb.header import COMPONENTS, FileHeader, GridHeader
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 
-EVERYTHING = "all"  # in ``layer.copy_fields``
 REPLACED = "the look's own field of this name takes its place"
-_COMPONENTS = {"float": 1, "vec3s": 3}
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,7 @@ class CopiedGrid:
     @property
     def components(self) -> int:
         """Numbers in a voxel."""
-        return _COMPONENTS[self.grid.value_type]
+        return COMPONENTS[self.grid.value_type]
 
     @property
     def request(self) -> GridRequest:

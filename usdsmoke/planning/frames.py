@@ -13,6 +13,7 @@ from usdsmoke.base.volume import (
     VolumeSource,
     is_same_transform,
 )
+from usdsmoke.config.run_sections import EVERYTHING
 from usdsmoke.config.settings import Config
 from usdsmoke.vdb.header import FileHeader, GridHeader
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
@@ -163,7 +164,7 @@ def is_copied(velocity: VelocitySource | None, density: FieldSource, config: Con
     """
     if velocity is None or config.layer.copy_velocity is not None:
         return velocity is not None and bool(config.layer.copy_velocity)
-    if {"all", velocity.field.relationship, *velocity.names} & set(config.layer.copy_fields):
+    if {EVERYTHING, velocity.field.relationship, *velocity.names} & set(config.layer.copy_fields):
         return same_place(velocity, density)
     return velocity.field.relationship != density.relationship and same_place(velocity, density)
 

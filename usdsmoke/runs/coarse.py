@@ -238,7 +238,9 @@ def _run_chain(
             digest = hash_file(run.folder / name)
             record.frames[name] = {"time_code": frame.source.time_code, "sha256": digest}
             seconds = record.seconds + time.monotonic() - started
-            run.keep(CoarseRecord(run.run_id, record.frames, seconds, here.processor))
+            is_known = record.processor in ("", run.processor)  # another kind stays on record
+            processor = here.processor if is_known else record.processor
+            run.keep(CoarseRecord(run.run_id, record.frames, seconds, processor))
         give_back_memory()
         if all(coarse_file_name(frame.file_name) in record.frames for frame in frames):
             break  # the rest is there already

@@ -9,9 +9,11 @@ from pathlib import Path, PurePosixPath
 
 from usdsmoke.base.errors import LayerError, UsdSmokeError
 from usdsmoke.base.publish import share_file
+from usdsmoke.planning.job import Job
 from usdsmoke.planning.make_plan import result_file_names
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.runs.run import Run, find_runs
+from usdsmoke.usd.look import check_asset_file
 from usdsmoke.vdb.header import read_header
 
 
@@ -37,6 +39,17 @@ def empty_names(volume: VolumePlan) -> tuple[str, str]:
     name = f"{volume.stem}.empty.vdb"
     place = volume.places.get(codes[0], "")
     return name, str(PurePosixPath(place).with_name(name)) if place else ""
+
+
+def check_targets(job: Job) -> None:
+    """Refuse to overwrite what belongs to other looks, to other stages or to other programs.
+
+    Raises:
+        LayerError: with the file and whose it is.
+    """
+    check_delivery(job.plan, job.output)
+    if job.config.layer.mode == "reference" and job.targets.root_stage is not None:
+        check_asset_file(job.targets.root_stage, Path(job.plan.source.file_path))
 
 
 def check_delivery(plan: Plan, output: Path) -> None:

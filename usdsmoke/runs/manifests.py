@@ -37,7 +37,7 @@ class CoarseRecord:
     run_id: str
     frames: dict[str, dict[str, Any]]  # by file, relative to the run's folder: time_code, sha256
     seconds: float = 0.0
-    processor: str = ""  # the kind of processor that computed the last of them
+    processor: str = ""  # the kind of processor; of several, one that the run was not begun on
 
 
 def part_file_name(window: int, file_name: str) -> str:

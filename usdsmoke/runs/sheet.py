@@ -45,9 +45,9 @@ _WIDEST = 2  # times the height of a picture
 _Labelled = tuple[str, np.ndarray]  # a picture and its name
 
 
-def sample_frames(volume: VolumePlan, count: int = 3) -> list[FramePlan]:
-    """At most ``count`` frames with smoke, spread from the first to the last; in order."""
-    return spread(volume.filled, count)
+def sample_frames(volume: VolumePlan) -> list[FramePlan]:
+    """At most three frames with smoke, spread from the first to the last; in order."""
+    return spread(volume.filled)
 
 
 def write_contact_sheet(

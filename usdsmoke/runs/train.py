@@ -23,7 +23,7 @@ from usdsmoke.base.errors import (
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file, hash_values
-from usdsmoke.base.time_codes import format_time_codes
+from usdsmoke.base.time_codes import format_time_codes, spread
 from usdsmoke.config.resolve import FilePath, Settings, Styles
 from usdsmoke.config.run_sections import OWN_NETWORK
 from usdsmoke.core.generator.definition import N_ITERATIONS
@@ -364,10 +364,9 @@ def _train(
 
 def _choose(frames: Sequence[FramePlan]) -> Sequence[FramePlan]:
     """Frames spread over those of a Volume, one from between them at the end: it is held out."""
-    n, last = min(_N_FRAMES, len(frames)), len(frames) - 1
-    spread = [frames[round(place * last / max(n - 1, 1))] for place in range(n)]
-    held_out = spread[n // 2]
-    return [*(frame for frame in spread if frame is not held_out), held_out]
+    chosen = spread(frames, _N_FRAMES)
+    held_out = chosen[len(chosen) // 2]
+    return [*(frame for frame in chosen if frame is not held_out), held_out]
 
 
 def _to_bytes(

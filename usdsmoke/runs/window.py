@@ -73,19 +73,20 @@ def check_storage(opened: OpenRun, tasks: Sequence[WindowTask]) -> None:
     Raises:
         ConfigError: with the frame, the largest number and the one that can be held.
     """
-    from usdsmoke.core.views.scene import frame_scene
-
-    for task in tasks:
-        if not task.volume.config.grids.half:
-            continue
+    half = [task for task in tasks if task.volume.config.grids.half]
+    for task in half:
         scene = read_scene(opened.run, task.volume_number)
         for frame in task.frames:
             read = opened.reader.read(task.volume, frame)
             config = frame_config(task.volume.config, read.controls, read.time_code)
             if (curve := scene.thickening) is not None:
                 read = curve.of_frame(read)
-            own = config is not task.volume.config
-            gamma_w = (frame_scene(scene, config.optics.gamma) if own else scene).gamma_w
+            if config is not task.volume.config:
+                from usdsmoke.core.views.scene import frame_scene
+
+                gamma_w = frame_scene(scene, config.optics.gamma).gamma_w
+            else:
+                gamma_w = scene.gamma_w
             check_storable(read.density, read.time_code, gamma_w, config)
 
 

@@ -22,6 +22,8 @@ from usdsmoke.base.errors import AssetNotResolved, DamagedFile, UnsupportedGrid
 from usdsmoke.vdb.boxes import box_extent
 
 _MAX_ITEMS = 65_536  # metadata entries or grids; real files have tens
+# numbers in a voxel, by the value types that every version of the bindings knows
+COMPONENTS = {"float": 1, "vec3s": 3}
 _MAX_TEXT = 65_536  # bytes of a name or type
 _MAX_BYTES = 33_554_432  # bytes of all headers together
 

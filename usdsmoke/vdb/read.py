@@ -21,9 +21,8 @@ from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb import child
 from usdsmoke.vdb.boxes import check_dense_size
 from usdsmoke.vdb.child import ChildFailure
-from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
+from usdsmoke.vdb.header import COMPONENTS, FileHeader, GridHeader, read_header
 
-_COMPONENTS = {"float": 1, "vec3s": 3}  # the value types that every version of the bindings knows
 _LAST_INDEX = 2**30  # either way: OpenVDB crashes near 2^31
 _STANDARD_TREE = "5_4_3"
 _KEPT_CLASSES = ("fog volume", "staggered")
@@ -79,7 +78,7 @@ def read_grids(
         check_readable(header, grid, request)
         if grid.box_shape is not None:  # else the worker looks at the tree itself
             found = f'grid "{grid.label}" in {_place(header, request)}'
-            components = _COMPONENTS[grid.value_type]
+            components = COMPONENTS[grid.value_type]
             check_dense_size(found, grid.box_shape, components, _dense_limit(config))
         grids.append(grid)
     described, arrays = _open(header, grids, requests, config)
@@ -124,13 +123,13 @@ def check_readable(header: FileHeader, grid: GridHeader, request: GridRequest) -
         UnsupportedGrid: a level set, points, another value type, or a transform that is not linear.
     """
     found = f'grid "{grid.label}" in {_place(header, request)}'
-    components = _COMPONENTS.get(grid.value_type)
+    components = COMPONENTS.get(grid.value_type)
     if grid.value_type == "points":
         raise UnsupportedGrid(
             f"{found} holds points, not a fog volume. Rasterize the points into a density grid."
         )
     if components is None or grid.tree_levels != _STANDARD_TREE:
-        fitting = [name for name, n in _COMPONENTS.items() if request.components in (None, n)]
+        fitting = [name for name, n in COMPONENTS.items() if request.components in (None, n)]
         kind = grid.value_type + (
             "" if grid.tree_levels == _STANDARD_TREE else f" in a {grid.tree_levels} tree"
         )
@@ -191,7 +190,7 @@ def _open(
     request = {
         "action": "read",
         "file_path": os.path.abspath(header.file_path),
-        "names": [_name_in_bindings(header, grid) for grid in grids],
+        "names": [_name_in_bindings(grid) for grid in grids],
         "dense_limit_bytes": _dense_limit(config),
     }
     limited = config.replace(time_limit_s=_time_limit(header, config))
@@ -214,7 +213,7 @@ def _time_limit(header: FileHeader, config: GridsConfig) -> float:
     return config.time_limit_s * min(1.0, _SMALL_SHARE + size / _LARGE_FILE_BYTES)
 
 
-def _name_in_bindings(header: FileHeader, grid: GridHeader) -> str:
+def _name_in_bindings(grid: GridHeader) -> str:
     """The name by which the bindings find this grid among those of its name."""
     suffix = grid.stored_name[len(grid.name) + 1 :]
     return f"{grid.name}[{suffix}]" if suffix else grid.name

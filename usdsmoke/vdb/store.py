@@ -89,11 +89,12 @@ class GridStore:
         Arrays that were returned stay valid.
         """
         paths = {os.path.abspath(file_path) for file_path in file_paths}
-        self._kept = {key: kept for key, kept in self._kept.items() if key[0] not in paths}
-        used = {id(kept.file) for entries in self._kept.values() for kept in entries}
-        unused = [file for file in self._files if id(file) not in used]
-        self._files[:] = [file for file in self._files if id(file) in used]
-        _close(unused)
+        with self._turn:
+            self._kept = {key: kept for key, kept in self._kept.items() if key[0] not in paths}
+            used = {id(kept.file) for entries in self._kept.values() for kept in entries}
+            unused = [file for file in self._files if id(file) not in used]
+            self._files[:] = [file for file in self._files if id(file) in used]
+            _close(unused)
 
     def _keep(self, key: _Key, fields: Sequence[DenseField]) -> None:
         needed = self._spare + sum(field.values.nbytes for field in fields)

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from usdsmoke.pictures.preview_volumes import Smoke
 
 SIZE = 96  # pixels of the longer side: the path tracer draws about 50 000 rays a second
+_TIMES = 3  # as wide are the pixels of the page
 VIEWS = (0.0, 120.0, 240.0)  # degrees around the up axis, from the front
 PICTURE, DATA = "final.png", "final.json"
 GLOW, MODEL, ONCE, FINAL = "glow alone", "as painted", "once, traced", "all bounces, traced"
@@ -253,8 +254,8 @@ def _at(field: DenseField, ijk: np.ndarray) -> np.ndarray:
     return values
 
 
-def _enlarged(picture: np.ndarray, times: int = 3) -> np.ndarray:
-    return picture.repeat(times, 0).repeat(times, 1)
+def _enlarged(picture: np.ndarray) -> np.ndarray:
+    return picture.repeat(_TIMES, 0).repeat(_TIMES, 1)
 
 
 def _write(

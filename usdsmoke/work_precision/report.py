@@ -15,10 +15,17 @@ from typing import Any
 from usdsmoke import __version__
 from usdsmoke.base.errors import ConfigError, Interrupted, OutputExists, WriteFailed
 from usdsmoke.base.json_records import read_json
-from usdsmoke.base.machine import check_packages, package_versions, prepare_torch_environment
+from usdsmoke.base.machine import (
+    check_packages,
+    package_versions,
+    platform_name,
+    prepare_torch_environment,
+    usable_cpus,
+)
 from usdsmoke.base.publish import make_folders, publish_file, remove_empty
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.config.resolve import FilePath, Settings, Styles
+from usdsmoke.core.smoke.tasks import n_sharing
 from usdsmoke.planning.job import Request, prepare_job
 from usdsmoke.planning.plan import Omission
 from usdsmoke.usd.stage import StageOrFile
@@ -239,11 +246,11 @@ def _machine_facts(case: Case, budget: Budget) -> dict[str, str]:
     import torch
 
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    threads = "no" if case.on_gpu else n_sharing()
     return {
         "date": datetime.date.today().isoformat(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "processor": f"{processor_name()}, {cores} cores, {torch.get_num_threads()} threads used",
+        "system": platform_name(),
+        "processor": f"{processor_name()}, {usable_cpus()} cores, {threads} threads used",
         "memory": f"{memory:.0f} GiB",
         "GPU": torch.cuda.get_device_name(case.device) if case.on_gpu else "not used",
         "load": f"{os.getloadavg()[0]:.1f} at the end",

@@ -25,10 +25,12 @@ STRIPES = np.where(ROWS, [1.0, 0.8, 0.1], [0.0, 0.1, 0.6]) * np.ones((48, 48, 3)
 NARROW = {"azimuth": 12.0, "elevation": 6.0}
 
 
-def problem_of(**views: float) -> StepProblem:
+def problem_of(seed: int = 0, **views: float) -> StepProblem:
     """A dense block before a camera, to be painted in stripes of six pixels."""
     config = quick_config(
-        views={"pool": 16, "image_size": 24, "camera": "/camera", **views}, optics={"depth": 30.0}
+        views={"pool": 16, "image_size": 24, "camera": "/camera", **views},
+        optics={"depth": 30.0},
+        optimize={"seed": seed},
     )
     scene = dataclasses.replace(scene_of([frame_of(DENSITY)], config), camera=CAMERA)
     targets = make_targets([STRIPES.astype(np.float32)], scene, config, torch.device("cpu"))
@@ -51,10 +53,16 @@ def _contrast(colours: Tensor, side: float) -> float:
 
 
 def test_smoke_before_a_camera_is_painted_behind_too() -> None:
-    front, back = contrast(run_colour_step(problem_of(), [40, 40, 40])[0])
-    only_front, untouched = contrast(run_colour_step(problem_of(**NARROW), [40, 40, 40])[0])
-    assert front > 0.9 * only_front > 0.2
-    assert untouched < 0.6 * front < 0.8 * back
+    """On average over seeds: single ones differ by a third, and by processor."""
+    pairs = []
+    for seed in range(3):
+        for views in ({}, NARROW):
+            pairs.append(contrast(run_colour_step(problem_of(seed, **views), [40, 40, 40])[0]))
+    front, back = np.mean(pairs[::2], axis=0)
+    only_front, untouched = np.mean(pairs[1::2], axis=0)
+    assert front > 0.9 * only_front > 0.17
+    assert back > 0.85 * front
+    assert untouched < 0.65 * back
 
 
 def test_frames_behind_a_neighbour_are_painted_behind_too() -> None:

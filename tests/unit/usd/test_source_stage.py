@@ -66,7 +66,8 @@ def test_the_extent_holds_what_is_shown_between_two_files(tmp_path):
         (tmp_path / "cache").mkdir(exist_ok=True)
         write_frame(tmp_path / f"cache/plume.{code:04d}.vdb", [field], {}, half=False)
     made = write_source_stage(str(tmp_path / "cache/plume.####.vdb"), tmp_path / "a.usda", 0.01)
-    volume = UsdVol.Volume(Usd.Stage.Open(str(made.file)).GetPrimAtPath(made.prim_path))
+    stage = Usd.Stage.Open(str(made.file))
+    volume = UsdVol.Volume(stage.GetPrimAtPath(made.prim_path))
     shown = [corner[0] for corner in read_header(tmp_path / "cache/plume.0008.vdb").grids[0].extent]
     for code in (8, 8.25, 8.5, 8.99):
         low, high = volume.GetExtentAttr().Get(code)

@@ -10,6 +10,10 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+# The fitted order is clamped to this range. Where differences do not fall, as at edges that no step
+# resolves, the least order gives the most cautious estimate.
+LEAST_ORDER, MOST_ORDER = 1.0, 2.0
+
 
 @dataclass(frozen=True)
 class StepError:
@@ -19,13 +23,11 @@ class StepError:
     order: float
 
 
-def step_error(results: Sequence[Tensor], least: float = 1.0, most: float = 2.0) -> StepError:
+def step_error(results: Sequence[Tensor]) -> StepError:
     """The mean absolute error of the first result, relative to its mean absolute value.
 
     Args:
         results: the same with the steps h, 2h and 4h, any equal shapes.
-        least, most: the fitted order is clamped to this range. Where differences do not fall, as at
-            edges that no step resolves, the least order gives the most cautious estimate.
 
     Returns:
         0 and the highest order where h and 2h give the same, or nothing at all.
@@ -34,6 +36,6 @@ def step_error(results: Sequence[Tensor], least: float = 1.0, most: float = 2.0)
     size = float(fine.abs().sum())
     near, far = float((fine - middle).abs().sum()), float((middle - coarse).abs().sum())
     if near == 0 or size == 0:
-        return StepError(0.0, most)
-    order = min(max(math.log2(far / near), least), most) if far > 0 else least
+        return StepError(0.0, MOST_ORDER)
+    order = min(max(math.log2(far / near), LEAST_ORDER), MOST_ORDER) if far > 0 else LEAST_ORDER
     return StepError(near / size / (2**order - 1), order)

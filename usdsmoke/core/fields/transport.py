@@ -10,8 +10,8 @@ unit of time), so anisotropic and rotated grids cost the caller one matrix produ
          the range of the whole field, and inside smoke to between half the least and twice the
          largest of the eight voxels around the place (their range itself would cost half of the
          accuracy): beside a core a hundred times denser the spline rings by more than the smoke
-         there, and would empty it. Where one of the eight is empty, it is at least a tenth of
-         the linear look-up
+         there, and would empty it. It is at least a tenth of the linear look-up, also where one of
+         the eight is empty
 ======== ========================================================================================
 
 Schemes that were measured and not taken are in ``benchmarks/transport_baselines.py``; see decision
@@ -32,6 +32,7 @@ from usdsmoke.core.fields.sample import sample_cubic, sample_linear, voxel_posit
 Scheme = Literal["linear", "cubic"]
 RINGING = 2.0  # factor by which a spline may leave the range of the voxels around a place
 FADING = 10.0  # factor by which it may be below a linear look-up
+MOST_SUBSTEPS = 1000
 _ROUND_OFF = 1e-9  # of the mass that is missing
 SCHEMES: tuple[Scheme, ...] = ("linear", "cubic")
 Velocity = Tensor | Callable[[Tensor], Tensor]
@@ -193,18 +194,17 @@ def _even_share(lengths: Tensor, wanted: float) -> float:
     return most
 
 
-def choose_substeps(velocity: Tensor, dt: float, cfl: float = 1.0, limit: int = 1000) -> int:
+def choose_substeps(velocity: Tensor, dt: float, cfl: float = 1.0) -> int:
     """Back-trace sub-steps in which nothing moves further than ``cfl`` voxels along an axis.
 
     Args:
         velocity: [I J K 3] or [N 3], index units per unit of time.
         dt: the step, any sign.
         cfl: largest CFL number of one sub-step, > 0.
-        limit: more sub-steps than this are refused: the unit of such a velocity is wrong.
 
     Raises:
         NonFiniteError: the velocity or dt holds NaN or infinity.
-        PlanError: ``limit`` sub-steps do not suffice.
+        PlanError: ``MOST_SUBSTEPS`` do not suffice: the unit of such a velocity is wrong.
     """
     check_finite(velocity, "velocity")
     if not (math.isfinite(dt) and math.isfinite(cfl) and cfl > 0):
@@ -214,10 +214,10 @@ def choose_substeps(velocity: Tensor, dt: float, cfl: float = 1.0, limit: int = 
         )
     fastest = max(map(abs, map(float, velocity.detach().aminmax()))) if velocity.numel() else 0.0
     needed = fastest * abs(dt) / cfl
-    if needed > limit:
+    if needed > MOST_SUBSTEPS:
         raise PlanError(
             f"the velocity crosses {fastest * abs(dt):.4g} voxels in one step of {dt:.4g}; that "
-            f"needs {needed:.4g} sub-steps at a CFL number of {cfl:g}, more than {limit}. "
+            f"needs {needed:.4g} sub-steps at a CFL number of {cfl:g}, more than {MOST_SUBSTEPS}. "
             "Check the velocity's unit (per second or per frame) and its grid's voxel size."
         )
     return max(1, math.ceil(needed - 1e-9))

@@ -1,8 +1,8 @@
 """The shared coarse step: a whole shot at a fraction of its resolution, frame after frame.
 
 It fixes the places of the style once for all windows, which then refine it independently. Its
-voxels are blocks of 4 x 4 x 4 (with three octaves, one of them shared), so a frame costs
-a sixty-fourth of the voxels and a sixteenth of the pixels.
+voxels are blocks of 2 x 2 x 2 (with three octaves, two of them shared, which are the defaults), so
+a frame costs an eighth of the voxels and a quarter of the pixels.
 """
 
 import dataclasses

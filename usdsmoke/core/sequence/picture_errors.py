@@ -20,6 +20,7 @@ from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.project import colour_map, column_map
 
 MOST_RAYS = 4096  # of one picture
+_BLOCK = 4  # pixels along a side, which coarser pictures have one of
 MOST_VOXELS = 2**23  # of a dense box with five numbers a voxel
 
 
@@ -56,9 +57,9 @@ class Painted:
         return Painted(smoke, torch.stack(light, 1))
 
 
-def fit_blocks(view: View, block: int = 4) -> View:
-    """The view, a little larger, so that its sides are multiples of ``block`` pixels."""
-    height, width = (-(-side // block) * block for side in (view.height, view.width))
+def fit_blocks(view: View) -> View:
+    """The view, a little larger, so that its sides are multiples of four pixels."""
+    height, width = (-(-side // _BLOCK) * _BLOCK for side in (view.height, view.width))
     return replace(view, height=height, width=width)
 
 

@@ -160,7 +160,7 @@ class StyleTarget:
 
         Args:
             picture: [H W 3], display-encoded.
-            guide: [H W] in [0, 1], where the smoke is.
+            guide: [H W] in [0, 1], where the smoke is; None is 1 everywhere.
             draw: picks the directions of sliced Wasserstein, e.g. the iteration.
 
         Gradients: through ``picture``.

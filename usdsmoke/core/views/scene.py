@@ -128,15 +128,15 @@ def crop_view(view: View, smoke: "ActiveSmoke", margin: int = PICTURE_MARGIN) ->
     return replace(view, centre=(low + high) / 2 @ axes, height=height, width=width)
 
 
-def _trimmed(view: View, smoke: "ActiveSmoke", margin: int = PICTURE_MARGIN) -> View:
+def _trimmed(view: View, smoke: "ActiveSmoke") -> View:
     """The same pixels without those around the smoke, which a turned box leaves in its corners."""
     axes = np.stack([view.right, -view.up])
     half = 0.5 * np.abs(smoke.index_to_stage[:3, :3] @ axes.T).sum(0)  # of a voxel
     places = smoke.outline @ axes.T - view.centre @ axes.T
     size = np.array([view.width, view.height])
     low, high = (
-        np.rint((places.min(0) - half) / view.pixel_size + size / 2) - margin,
-        np.rint((places.max(0) + half) / view.pixel_size + size / 2) + margin,
+        np.rint((places.min(0) - half) / view.pixel_size + size / 2) - PICTURE_MARGIN,
+        np.rint((places.max(0) + half) / view.pixel_size + size / 2) + PICTURE_MARGIN,
     )
     low, high = np.maximum(low, 0), np.minimum(high, size)
     moved = ((low + high - size) / 2 * view.pixel_size) @ axes

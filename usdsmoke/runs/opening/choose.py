@@ -9,7 +9,7 @@ from usdsmoke.base.locks import OutputLock, hold_file, lock_output
 from usdsmoke.base.publish import remove_empty
 from usdsmoke.planning.job import Job, prepare_job, recorded_request
 from usdsmoke.planning.plan import Plan, WindowTask
-from usdsmoke.runs.delivery import check_delivery
+from usdsmoke.runs.delivery import check_targets
 from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.opened import OpenRun, missing_starts
 from usdsmoke.runs.opening.growth import (
@@ -234,6 +234,7 @@ def open_run_to_assemble(
     with lock_output(output, waits=lambda: tell(WAITING)) as lock:
         run = _run_to_assemble(output, look)
         job = continued(prepare_job(recorded_request(output, run.request, mode), fits=False))
+        check_targets(job)
         changes = Identity(job).changes(run)
         if changes:
             raise OutputExists(
@@ -309,14 +310,14 @@ def _choose_run(
     Raises:
         OutputExists: there is a result, an unfinished run of other settings, or a damaged record of
             this run, without ``force``.
-        LayerError: see ``check_delivery``.
+        LayerError: see ``check_targets``.
     """
     output, force = job.output, job.request.force
-    check_delivery(job.plan, output)
+    check_targets(job)
     published, runs, results = find_results(job)
     unfinished = [run for run_id, run in runs.items() if run_id not in results]
     others = [run for run in unfinished if not identity.is_of(run)]
-    refuse_result(job, identity, growth)
+    refuse_result(job, growth)
     given_up = [run for run in others if run.run_id not in published]
     if others and not (force and (alone or not given_up)):
         raise unfinished_in_the_way(output, others[0], identity)

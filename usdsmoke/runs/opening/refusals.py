@@ -8,7 +8,7 @@ from usdsmoke.base.naming import RUNS_FOLDER
 from usdsmoke.base.time_codes import format_time_codes
 from usdsmoke.planning.job import Job
 from usdsmoke.runs.changes import Changes
-from usdsmoke.runs.delivery import check_delivery
+from usdsmoke.runs.delivery import check_targets
 from usdsmoke.runs.identity import Identity
 from usdsmoke.runs.opening.growth import Growth, compare_run
 from usdsmoke.runs.run import Run, find_runs
@@ -24,20 +24,20 @@ def refuse_runs(job: Job, growth: Growth | None) -> None:
 
     Raises:
         OutputExists: as of ``refuse_result``; or there is an unfinished run of other settings.
-        LayerError: see ``check_delivery``.
+        LayerError: see ``check_targets``.
     """
-    check_delivery(job.plan, job.output)
+    check_targets(job)
     _, runs, results = find_results(job)
     if not (runs or results) or job.request.force:
         return
+    refuse_result(job, growth)
     identity = Identity(job)
-    refuse_result(job, identity, growth)
     for run_id, run in runs.items():
         if run_id not in results and not identity.is_of(run):
             raise unfinished_in_the_way(job.output, run, identity)
 
 
-def refuse_result(job: Job, identity: Identity, growth: Growth | None) -> None:
+def refuse_result(job: Job, growth: Growth | None) -> None:
     """Refuse a job for a result of its look.
 
     Args:

@@ -18,6 +18,7 @@ from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.ui.cli.plan_text import plan_text
 from usdsmoke.ui.cli.record_text import provenance_text, rerun_text, verification_text
 from usdsmoke.ui.cli.text import (
+    LINE_EVERY,
     inspection_text,
     print_json,
     show,
@@ -122,9 +123,6 @@ def run_settings(arguments: argparse.Namespace) -> int:
     return 0
 
 
-_LINE_EVERY = 10.0  # seconds between two lines of a log
-
-
 def run_report(arguments: argparse.Namespace) -> int:
     """``usdsmoke report``; the exit code."""
     from rich.console import Console
@@ -178,13 +176,13 @@ class _Teller:
     def __init__(self, console: "Console", bar: "Progress") -> None:
         self._console, self._bar = console, bar
         self._task: TaskID = bar.add_task("reading", total=1.0)
-        self._last = -_LINE_EVERY
+        self._last = -LINE_EVERY
 
     def __call__(self, sweep: str, point: str, share: float) -> None:
         text = f"{sweep}: {point}"
         self._bar.update(self._task, description=text, completed=share)
         now = time.monotonic()
-        if not self._console.is_terminal and now - self._last >= _LINE_EVERY:
+        if not self._console.is_terminal and now - self._last >= LINE_EVERY:
             self._last = now
             self._console.print(f"{share:4.0%} {text}", markup=False, highlight=False)
 

@@ -10,12 +10,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.time_codes import name_time_codes
-from usdsmoke.ui.cli.text import format_seconds, show
+from usdsmoke.ui.cli.text import LINE_EVERY, format_seconds, show
 
 if TYPE_CHECKING:
     from usdsmoke.pictures.preview import PreviewResult
-
-_LINE_EVERY = 10.0  # seconds between two lines of a log
 
 
 def run_preview(arguments: argparse.Namespace) -> int:
@@ -68,7 +66,7 @@ class _Lines:
 
     def __call__(self, done: int, total: int) -> None:
         now = time.monotonic()
-        if now - self._last < _LINE_EVERY or done == total:
+        if now - self._last < LINE_EVERY or done == total:
             return
         self._last = now
         left = format_seconds((now - self._began) / done * (total - done))

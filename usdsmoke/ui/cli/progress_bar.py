@@ -10,9 +10,8 @@ from rich.progress import BarColumn, Progress, TextColumn
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.runs.budget import Finding, finding_texts
 from usdsmoke.runs.progress import RunProgress
-from usdsmoke.ui.cli.text import format_seconds
+from usdsmoke.ui.cli.text import LINE_EVERY, format_seconds
 
-_LINE_EVERY = 10.0  # seconds between two lines of a log
 _LEARN_FOR = 2.0  # seconds before the remaining time is shown
 
 
@@ -69,7 +68,7 @@ class ConsoleProgress:
         if report.loss or report.step == "coarse":
             left = self._time_left(now, report.share)
         self._bars.update(self._task, description=where, completed=report.share, left=left)
-        is_due = report.step != self._last_step or now - self._last_line >= _LINE_EVERY
+        is_due = report.step != self._last_step or now - self._last_line >= LINE_EVERY
         if not self._console.is_terminal and is_due:
             self._last_line, self._last_step = now, report.step
             self.say(f"{report.share:4.0%} {where} {left}".rstrip())

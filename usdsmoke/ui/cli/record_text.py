@@ -5,15 +5,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from usdsmoke.base.errors import count_text
-from usdsmoke.base.record_format import MachineRecord
+from usdsmoke.base.record_format import SHOWN_DIGITS, MachineRecord
 from usdsmoke.config.settings import Config
 from usdsmoke.ui.cli.text import columns
 
 if TYPE_CHECKING:
     from usdsmoke.audit import Change, FoundRecord, Rerun
 
-_SHOWN = 12  # digits of a hash that people compare
-_HASH = re.compile(rf"(sha256 )?(?<![/\w])[0-9a-f]{{{_SHOWN}}}(?![/\w])")
+_HASH = re.compile(rf"(sha256 )?(?<![/\w])[0-9a-f]{{{SHOWN_DIGITS}}}(?![/\w])")
 _MOST_LINES = 4  # of a long list of files
 
 
@@ -140,7 +139,7 @@ def _listed(title: str, digests: Mapping[str, str]) -> list[tuple[str, str]]:
 
 
 def _with_hash(name: str, digest: str) -> str:
-    return f"{name}  {digest[:_SHOWN]}".strip()
+    return f"{name}  {digest[:SHOWN_DIGITS]}".strip()
 
 
 def _other_settings(config: Mapping[str, Any]) -> Iterable[str]:

@@ -12,6 +12,8 @@ from usdsmoke.base.errors import count_text
 from usdsmoke.base.naming import ORIGINAL, VARIANT_SET
 from usdsmoke.base.time_codes import find_holes, format_time_code, name_time_codes
 
+LINE_EVERY = 10.0  # seconds between two lines of a log
+
 if TYPE_CHECKING:
     from usdsmoke.farm import JobBundle
     from usdsmoke.pipeline import StylizeResult, TaskResult

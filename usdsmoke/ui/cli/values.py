@@ -19,6 +19,8 @@ _NEVER_EMPTY = (
     "start",
     "frames",
     "prim",
+    "junit",
+    "mend",
 )
 
 

@@ -33,9 +33,10 @@ def run_stylize(arguments: argparse.Namespace) -> int:
         from usdsmoke.farm import choose_jobs, with_jobs
         from usdsmoke.pipeline import plan_request
 
-        whole = not arguments.coarse and arguments.window is None
-        plan = plan_request(_request(arguments), whole=whole)
-        plan = with_jobs(plan, min(arguments.jobs or choose_jobs(plan), len(plan.tasks)))
+        whole, elsewhere = not arguments.coarse and arguments.window is None, arguments.cluster
+        plan = plan_request(_request(arguments), fits=elsewhere is None, whole=whole)
+        if whole and elsewhere is None:
+            plan = with_jobs(plan, min(arguments.jobs or choose_jobs(plan), len(plan.tasks)))
         if arguments.window is not None:
             plan.task(arguments.window)  # raises where there is no such window
         show(

@@ -17,13 +17,14 @@ from usdsmoke.usd.look.attributes import result_hashes
 from usdsmoke.usd.look.look import author_look, published_runs, shader_hashes
 from usdsmoke.usd.look.material import shader_files
 from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
-from usdsmoke.usd.look.root import check_asset, copy_stage_metadata
+from usdsmoke.usd.look.root import check_asset, check_asset_file, copy_stage_metadata
 
 __all__ = [
     "LookFiles",
     "StylizedVolume",
     "author_look",
     "check_asset",
+    "check_asset_file",
     "copy_stage_metadata",
     "look_files",
     "published_runs",

@@ -15,6 +15,7 @@ itself would make them stronger than those of the inheriting prim.
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -142,6 +143,31 @@ def check_asset(stage: Usd.Stage) -> None:
             prim already has a variant set called look.
     """
     _checked_targets(stage)
+
+
+def check_asset_file(file_path: Path, source_file: Path) -> None:
+    """Refuse to replace an asset of another source, or a file of somebody else.
+
+    Args:
+        file_path: of the asset that will be written.
+        source_file: the root layer of its source.
+
+    Raises:
+        LayerError: there is such a file.
+    """
+    if not file_path.exists():
+        return
+    theirs = ""
+    with suppress(Tf.ErrorException), captured_diagnostics():
+        layer = Sdf.Layer.OpenAsAnonymous(str(file_path), metadataOnly=True)
+        theirs = str(layer.customLayerData.get(ASSET_SOURCE, "")) if layer else ""
+    if theirs and (file_path.parent / theirs).resolve() == source_file.resolve():
+        return
+    found = f"holds the looks of {theirs}" if theirs else "is not an asset of usdsmoke"
+    raise LayerError(
+        f"{file_path} {found}, and would be replaced. Choose another output folder, or --mode "
+        "sublayer."
+    )
 
 
 def _checked_targets(stage: Usd.Stage) -> _ExternalTargets:

@@ -8,6 +8,7 @@ from typing import Any
 from pxr import Sdf, Usd, UsdGeom, UsdVol
 
 from usdsmoke.base.errors import StageError
+from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import FieldSource, LightSource, Scattering, StageSource
 from usdsmoke.usd.field_samples import field_targets
@@ -48,7 +49,7 @@ class ComposedVolume:
 
 
 def composed_volumes(
-    stage: Usd.Stage, source: StageSource, time_code: float, emission: str = "emission"
+    stage: Usd.Stage, source: StageSource, time_code: float
 ) -> list[ComposedVolume]:
     """What the Volumes show at a timeCode; hidden ones and those in a gap are left out.
 
@@ -57,7 +58,6 @@ def composed_volumes(
 
     Args:
         time_code: any.
-        emission: relationship name of the emission.
 
     Raises:
         AssetNotResolved: a file cannot be read from disk.
@@ -72,7 +72,7 @@ def composed_volumes(
         density = _composed_field(prim, volume.density, time_code, xforms)
         if density is None:
             continue
-        light = _composed_field(prim, emission, time_code, xforms)
+        light = _composed_field(prim, EMISSION, time_code, xforms)
         colour = str(_authored(prim, SCATTER_FIELD, time_code) or "")
         extinction, rescale = _extinction(prim, time_code), _rescale(prim, time_code)
         composed.append(

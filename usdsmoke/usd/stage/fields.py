@@ -12,6 +12,7 @@ from usdsmoke.base.errors import AssetNotResolved, FieldNotFound, StageError
 from usdsmoke.base.naming import COLOUR_CHANNELS, COLOUR_VECTORS
 from usdsmoke.base.time_codes import format_time_code, name_time_codes
 from usdsmoke.base.volume import FIELD_SEPARATORS, VELOCITY_NAMES, FieldSource
+from usdsmoke.config.run_sections import EVERYTHING
 from usdsmoke.usd.field_samples import (
     FIELD_PREFIX,
     FieldSamples,
@@ -96,7 +97,7 @@ def find_fields(
     taken = set(prims)
     for name in sorted(relationships.keys() - taken):
         prim = _openvdb_prim(volume, relationships[name])
-        if ("all" in copied or name in copied) and isinstance(prim, Usd.Prim):
+        if (EVERYTHING in copied or name in copied) and isinstance(prim, Usd.Prim):
             prims[name] = prim
     others = tuple(name for name in sorted(relationships) if name not in prims)
     return VolumeFields(density, names, mask, prims, others, tuple(sorted(prims.keys() - taken)))

@@ -139,8 +139,8 @@ def _leave_looks_out(stage: Usd.Stage) -> EarlierLooks:
     taken = [f"<{path}>" for path in variants]
     taken += [Path(name).name for name in looks]
     note = (
-        f"the stage already has a look ({', '.join(taken)}). Remove that look, because the new one "
-        f"starts from the original. {_INSTEAD}"
+        f"the stage already has a look ({', '.join(taken)}). It is left out of this run: the new "
+        f"look starts from the original. {_INSTEAD}"
     )
     gone = {
         path: tuple(sorted(names - after.get(path, set())))
