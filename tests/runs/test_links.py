@@ -9,7 +9,7 @@ from pxr import Usd
 from tests.fixtures.farm_fixtures import WINDOWS, outcome, windows_in
 from tests.fixtures.pipeline_fixtures import Shot, contents, run
 from usdsmoke.base.naming import relative_asset_path
-from usdsmoke.pipeline import assemble
+from usdsmoke.pipeline import assemble, plan
 
 
 @pytest.fixture
@@ -29,6 +29,14 @@ def test_a_result_made_through_a_link_opens_in_its_real_folder(linked: Shot) -> 
     result = run(linked, *WINDOWS)
     assert result.root_stage == real(linked).output / "shot_look.usda"
     assert len(contents(result.root_stage)) == 8
+
+
+def test_the_plan_says_where_a_result_opens_that_a_link_leads_to(linked: Shot) -> None:
+    (linked.folder / "near").symlink_to(linked.folder / "far", target_is_directory=True)
+    for output, is_told in ((linked.output, True), (linked.folder / "near/away/out", False)):
+        notes = plan(linked.stage, linked.style, output).notes
+        told = [note for note in notes if str(real(linked).output) in note]
+        assert bool(told) == is_told
 
 
 def test_parts_made_through_a_link_and_without_it_are_one_run_and_one_stage(linked: Shot) -> None:

@@ -248,6 +248,7 @@ class DenseField:
     half: bool = False  # stored as half float
     metadata: Mapping[str, Any] = field(default_factory=dict)  # the grid's own, without file_* keys
     beside: float = 0.0  # largest value of inactive voxels near the box; 0 for vectors
+    repaired: int = 0  # voxels whose NaN or infinity was replaced when they were read
 
     def __post_init__(self) -> None:
         if self.values.ndim not in (3, 4) or (self.values.ndim == 4 and self.values.shape[3] != 3):

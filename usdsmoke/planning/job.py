@@ -33,6 +33,7 @@ from usdsmoke.planning.networks import check_features
 from usdsmoke.planning.output_folder import (
     check_output_folder,
     check_writable,
+    link_notes,
     resolve_output,
 )
 from usdsmoke.planning.plan import Omission, Plan, VolumePlan
@@ -174,7 +175,8 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
         for text in fine_marks_remarks(volume, [styles[place].pixels for place in volume.styles])
     ]
     of_styles = filter(None, (style.note for style in styles))
-    plan = dataclasses.replace(plan, notes=(*plan.notes, *fine_marks, *of_styles))
+    linked = link_notes(request.output, output, Path(source.file_path))
+    plan = dataclasses.replace(plan, notes=(*linked, *plan.notes, *fine_marks, *of_styles))
     targets = look_files(source, output, config.layer)
     files = _read_files(layer_files(stage), source, resolved)
     placed = [output / volume.file_of(f) for volume in plan.volumes for f in volume.frames]

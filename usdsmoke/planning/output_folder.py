@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from usdsmoke.base.errors import LayerError, WriteFailed
-from usdsmoke.base.naming import find_look_layers
+from usdsmoke.base.naming import find_look_layers, relative_asset_path
 
 _LONGEST_NAME = 230  # bytes: most file systems take 255, and a temporary name is longer by 22
 
@@ -41,6 +41,26 @@ def resolve_output(output: str | os.PathLike[str]) -> Path:
             "search), or choose another output folder."
         )
     return folder
+
+
+def link_notes(output: str | os.PathLike[str], folder: Path, source: Path) -> tuple[str, ...]:
+    """A note where a result cannot be opened through the link that leads to its folder.
+
+    USD follows relative paths from the name that a layer was opened by.
+
+    Args:
+        output: as it was given.
+        folder: the same without links.
+        source: the stage that the result refers to.
+    """
+    given = os.path.abspath(output)
+    way = os.path.normpath(os.path.join(given, relative_asset_path(source, folder)))
+    if given == str(folder) or os.path.exists(way):
+        return ()
+    return (
+        f"{given} leads to {folder} by a link. Open the result in {folder}: through the link its "
+        "relative paths do not find the source",
+    )
 
 
 def check_writable(output: Path) -> None:

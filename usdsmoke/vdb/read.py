@@ -235,7 +235,7 @@ def _dense_field(
     found = f'grid "{grid.label}" in {_place(header, request)}'
     background = np.asarray(entry["background"], np.float32)
     ijk_min = entry["ijk_min"]
-    _check_finite(found, values, background, ijk_min, config.repair_nan)
+    n_bad = _count_bad(found, values, background, ijk_min, config.repair_nan)
     if config.repair_nan is not None:
         values = np.where(np.isfinite(values), values, np.float32(config.repair_nan))
         background = np.where(np.isfinite(background), background, np.float32(config.repair_nan))
@@ -248,6 +248,7 @@ def _dense_field(
         grid_class=grid.grid_class if grid.grid_class in _KEPT_CLASSES else "unknown",
         half=grid.half,
         beside=entry.get("beside", 0.0),
+        repaired=n_bad,
         metadata={
             key: value
             for key, value in grid.metadata.items()
@@ -256,18 +257,21 @@ def _dense_field(
     )
 
 
-def _check_finite(
+def _count_bad(
     found: str,
     values: np.ndarray,
     background: np.ndarray,
     ijk_min: Sequence[int],
     repair: float | None,
-) -> None:
-    if repair is not None or (np.isfinite(values).all() and np.isfinite(background).all()):
-        return
+) -> int:
+    """Voxels with NaN or infinity; an error if there are any and nothing replaces them."""
+    if np.isfinite(values).all() and np.isfinite(background).all():
+        return 0
     bad = ~np.isfinite(values)
     bad = bad.any(axis=-1) if bad.ndim == 4 else bad
     count = int(bad.sum())
+    if repair is not None:
+        return count
     what = "a background that is NaN or infinite"
     if count:
         first = np.argwhere(bad)[0] + np.asarray(ijk_min)

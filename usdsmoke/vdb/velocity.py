@@ -116,6 +116,7 @@ def join_components(parts: Sequence[DenseField], where: str) -> DenseField:
         ijk_min=ijk_min,
         background=(background[0], background[1], background[2]),
         half=all(part.half for part in parts),
+        repaired=sum(part.repaired for part in parts),
     )
 
 

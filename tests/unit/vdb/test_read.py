@@ -200,6 +200,7 @@ def test_nan_and_infinite_voxels_are_counted_and_placed(tmp_path: Path) -> None:
     (field,) = read_grids(file_path, [GridRequest("density")], repaired)
     assert field.values[1, 2, 0] == field.values[2, 0, 0] == 0.25
     assert int((field.values == 1.0).sum()) == 25
+    assert field.repaired == 2
 
 
 @pytest.mark.parametrize("first", [2_000_000_000, -(2**31) + 8])

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.base.errors import NonFiniteError
 from usdsmoke.base.frame_report import Estimate, FrameReport, Progress, ProgressCallback
 from usdsmoke.base.volume import DenseField, Scattering, VolumeFrame
 from usdsmoke.config.settings import Config
@@ -31,7 +30,7 @@ from usdsmoke.core.sequence.start import Carried, CoarseStart, on_device
 from usdsmoke.core.sequence.transit import Transit, ride_between
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.device import choose_device
-from usdsmoke.core.smoke.voxels import LEAST_DENSITY
+from usdsmoke.core.smoke.field_checks import check_fields, field_warnings
 from usdsmoke.core.steps.optimize import Minimum
 from usdsmoke.core.steps.shape import max_displacement
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets, make_targets
@@ -50,10 +49,6 @@ from usdsmoke.core.views.visibility import (
 Watch = Callable[[str, Sequence[int]], Callable[[int, Minimum], None]]
 
 NO_STRENGTH = "optimize.strength is 0"  # why a frame is left out
-
-_BESIDE = 0.01  # of the largest density: as much in inactive voxels is no rounding
-_MOST_DENSITY = 1e32
-_NEGATIVE = 0.01  # of the density: less is what simulations leave behind
 
 
 @dataclass(frozen=True)
@@ -304,7 +299,7 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
         ConfigError: its controls are out of range, or 16-bit floats cannot hold the result.
     """
     # check the fields, and find the frame's own settings
-    _check_finite(frame)
+    check_fields(frame)
     shared, n_styles = context.config, len(context.targets.images)
     config = frame_config(shared, frame.controls, frame.time_code, n_styles)
     scene, targets = context.scene, context.targets
@@ -326,7 +321,7 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
     left_out, n_outside, sight = _why_left_out(source, mask, visibility, config), None, None
     if visibility is not None:
         n_outside = int((visibility.at(source.positions) == 0).sum())
-    warnings = (*_density_warnings(raw, source), *mask_warnings(frame, mask, source))
+    warnings = (*field_warnings(frame, raw, len(source.ijk)), *mask_warnings(frame, mask, source))
     if frame.camera is not None and len(source.ijk):
         sight = sight_of(source, frame.camera, scene.gamma_w)
     report = FrameReport(len(source.ijk), n_outside, warnings, left_out, sight, scene.gamma_w)
@@ -344,28 +339,6 @@ def selected(smoke: ActiveSmoke, mask: EffectMask | None) -> ActiveSmoke:
     return smoke if mask is None else smoke.take(mask.at(smoke.positions) > 0)
 
 
-def _density_warnings(density: DenseField, source: ActiveSmoke) -> tuple[str, ...]:
-    """What of a density does not count as smoke."""
-    values, found = density.values, list[str]()
-    if not len(source.ijk) and (values > 0).any():
-        found.append(
-            f"all densities are below {LEAST_DENSITY:.2g} and count as empty. Scale the density up"
-        )
-    if density.beside > max(_BESIDE * values.max(initial=0.0), np.max(np.abs(density.background))):
-        found.append(
-            f"inactive voxels outside the box of the active ones hold densities up to "
-            f"{density.beside:.3g} and count as empty. Activate them, or set them to 0, in the "
-            "program that writes the file"
-        )
-    negative = float(-values.clip(max=0).sum(dtype=np.float64))
-    if negative > _NEGATIVE * float(np.abs(values).sum(dtype=np.float64)):
-        found.append(
-            f"more than {_NEGATIVE:.0%} of the density is negative and counts as empty. Check that "
-            "it is a fog volume, not a level set"
-        )
-    return tuple(found)
-
-
 def _why_left_out(
     source: ActiveSmoke, mask: EffectMask | None, visibility: Visibility | None, config: Config
 ) -> str:
@@ -378,21 +351,3 @@ def _why_left_out(
         where = "the camera sees smoke" if visibility is not None else "there is smoke"
         return f"the mask is 0 wherever {where}"
     return "losses.style is 0" if config.losses.style == 0 else ""
-
-
-def _check_finite(frame: VolumeFrame) -> None:
-    for item in (frame.density, frame.velocity, frame.mask):
-        if item is None:
-            continue
-        count = sum(int((~np.isfinite(part)).sum()) for part in (item.values, item.background))
-        if count:
-            raise NonFiniteError(
-                f'{count} values of grid "{item.name}" at timeCode {frame.time_code:g} are NaN or '
-                "infinite. Set grids.repair_nan to the value that replaces them."
-            )
-    largest = float(frame.density.values.max(initial=0.0))
-    if largest > _MOST_DENSITY:
-        raise NonFiniteError(
-            f"the density at timeCode {frame.time_code:g} reaches {largest:.3g}, and sums over it "
-            f"leave the range of 32-bit floats above {_MOST_DENSITY:g}. Scale the density down."
-        )

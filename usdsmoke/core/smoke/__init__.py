@@ -2,6 +2,7 @@
 
 - ``active``: the voxels that hold smoke, and the same smoke at half the resolution
 - ``device``: where the core computes, and what decides its bits
+- ``field_checks``: what of a frame's fields cannot be used, or was replaced
 - ``levels``: what counts as ordinary density, whatever the densest voxels hold
 - ``memory``: long tensors in chunks, lazy lists, sums whose graph is freed term by term
 - ``noise``: white noise as a function of voxel, channel and seed
