@@ -205,6 +205,30 @@ def test_a_result_that_is_gone_is_named(finished: Finished) -> None:
     assert (change.kind, change.file) == ("result-missing", str(finished[1].frames[1]))
 
 
+@pytest.mark.parametrize("what", ["root", "run", "damage"])
+def test_what_shows_and_repeats_a_result_is_noted_where_it_is_gone(
+    what: str, finished: Finished
+) -> None:
+    shot, result = finished
+    (run_file,) = shot.output.glob("vdb/*/run.json")
+    if what == "damage":
+        run_file.write_text("{")
+    else:
+        (run_file if what == "run" else result.root_stage).unlink()
+    (change,) = verify(result.look_layer)
+    kinds = {"root": "root-missing", "run": "run-missing", "damage": "run-damaged"}
+    assert (change.kind, change.severity) == (kinds[what], "note")
+
+
+def test_files_are_looked_for_too_where_the_stage_is_gone(finished: Finished) -> None:
+    shot, result = finished
+    shot.stage.unlink()
+    gone = shot.stage.parent / "cache/smoke.0002.vdb"
+    gone.unlink()
+    kinds = {change.kind: change.file for change in verify(result.look_layer)}
+    assert kinds == {"stage-missing": str(shot.stage), "input-missing": str(gone)}
+
+
 def test_a_shader_of_the_look_that_is_gone_is_named(finished: Finished) -> None:
     (shader,) = finished[0].output.glob("*.glslfx")
     shader.unlink()

@@ -123,7 +123,9 @@ def test_files_are_known_by_mode_and_look_before_anything_is_written(shot: Shot)
     stage = open_stage(shot.stage)
     source = find_volumes(stage, run(shot).plan.config.stage)
     found = {
-        (mode, look): look_files(source, Path("/o"), LayerConfig(mode=mode, look=look)).root_stage
+        (mode, look): look_files(
+            source.file_path, Path("/o"), LayerConfig(mode=mode, look=look)
+        ).root_stage
         for mode in ("sublayer", "layer")
         for look in ("stylized", "ember")
     }

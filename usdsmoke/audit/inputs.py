@@ -76,7 +76,8 @@ def check_inputs(item: FoundRecord) -> list[Change]:
         *_check_start(item, config),
     ]
     if not stage.is_file():
-        return [Change("stage-missing", str(stage), "the source stage", "no file"), *changes]
+        lost = Change("stage-missing", str(stage), "the source stage", "no file")
+        return [lost, *_check_files(item, stage, None), *changes]
     files = _check_files(item, stage, job)
     some_are_gone = any(change.kind == "input-missing" for change in files)
     return [*files, *_check_stage(item, stage, config, job, some_are_gone), *changes]

@@ -7,6 +7,7 @@ forgotten edits. They are not signatures, and do not detect fraud.
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 
@@ -20,9 +21,10 @@ from usdsmoke.base.errors import (
     StageError,
 )
 from usdsmoke.base.machine import package_versions, platform_name
-from usdsmoke.base.naming import find_look_layers
+from usdsmoke.base.naming import RUNS_FOLDER, find_look_layers
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.config.run_sections import GridsConfig
+from usdsmoke.runs.run import damaged_records, find_runs
 from usdsmoke.usd.diagnostics import open_quietly
 from usdsmoke.usd.layer_record import (
     LAYER_HASH,
@@ -31,7 +33,7 @@ from usdsmoke.usd.layer_record import (
     record_digest,
     record_values,
 )
-from usdsmoke.usd.look import shader_files
+from usdsmoke.usd.look import look_files, shader_files
 from usdsmoke.vdb.read import read_binding_version
 from usdsmoke.vdb.written import FILES_AT_ONCE, State, compare_written
 
@@ -60,7 +62,7 @@ def verify(file: str | PathLike[str]) -> list[Change]:
             if any(change.kind == "record-edited" for change in edited):
                 continue  # there is nothing left to compare with
             raise
-        changes += [*_check_shaders(item), *_check_results(item)]
+        changes += [*_check_shaders(item), *_check_results(item), *_check_rest(item)]
         changes += [*check_inputs(item), *_check_versions(item)]
     return list(dict.fromkeys(changes))
 
@@ -117,6 +119,24 @@ def _check_shaders(item: FoundRecord) -> Iterator[Change]:
             yield Change("result-missing", str(file), expected, "no file")
         elif recorded and (found := hash_file(file)) != recorded:
             yield Change("result-edited", str(file), f"shader {shown(recorded)}", shown(found))
+
+
+def _check_rest(item: FoundRecord) -> Iterator[Change]:
+    """What shows the look, and what the run goes on from; both may be left behind on purpose."""
+    if item.layer is None:
+        return
+    with suppress(ConfigError):
+        root = look_files(item.record.stage, item.folder, recorded_config(item).layer).root_stage
+        if root is not None and item.record.stage and not root.is_file():
+            yield Change.note("root-missing", str(root), "the stage to open", "no file")
+    if any(run.run_id == item.record.run for run in find_runs(item.folder)):
+        return
+    expected = "the record of the run, which assembles and repeats it"
+    damaged = damaged_records(item.folder)
+    for file in damaged:
+        yield Change.note("run-damaged", str(file), expected, "a file that cannot be read")
+    if not damaged:
+        yield Change.note("run-missing", str(item.folder / RUNS_FOLDER), expected, "no such record")
 
 
 def _check_results(item: FoundRecord) -> list[Change]:

@@ -177,7 +177,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     of_styles = filter(None, (style.note for style in styles))
     linked = link_notes(request.output, output, Path(source.file_path))
     plan = dataclasses.replace(plan, notes=(*linked, *plan.notes, *fine_marks, *of_styles))
-    targets = look_files(source, output, config.layer)
+    targets = look_files(source.file_path, output, config.layer)
     files = _read_files(layer_files(stage), source, resolved)
     placed = [output / volume.file_of(f) for volume in plan.volumes for f in volume.frames]
     written = [*targets.written, *_sheets(plan, output), *(placed if config.layer.files else ())]

@@ -218,7 +218,7 @@ def test_writing_again_replaces_the_old_result_also_for_stages_that_are_open(tmp
 
 def test_the_files_are_known_before_anything_is_written(tmp_path):
     _, source = read(plume_stage(tmp_path))
-    files = look_files(source, tmp_path / "out", LayerConfig(format="usdc"))
+    files = look_files(source.file_path, tmp_path / "out", LayerConfig(format="usdc"))
     assert files.look_layer == tmp_path / "out/look.usdc"
     assert files.root_stage == tmp_path / "out/shot_look.usda"
 

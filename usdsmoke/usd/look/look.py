@@ -62,7 +62,7 @@ def author_look(
         WriteFailed: a file could not be written or came back different.
     """
     folder = Path(output_folder).absolute()
-    files = look_files(source, folder, config)
+    files = look_files(source.file_path, folder, config)
     _check_volumes(volumes)
     _check_targets(stage, files)
     look = _author_look_layer(stage, volumes, folder, config, record, earlier or EarlierLooks())

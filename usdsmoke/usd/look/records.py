@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path, PurePath
 
 from usdsmoke.base.naming import EMISSION, look_suffix
-from usdsmoke.base.volume import LightSource, StageSource, VolumeSource, WrittenFrame
+from usdsmoke.base.volume import LightSource, VolumeSource, WrittenFrame
 from usdsmoke.config.run_sections import LayerConfig
 from usdsmoke.usd.field_samples import held_time_code
 from usdsmoke.usd.schema import EMISSION_ABSOLUTE
@@ -78,9 +78,13 @@ def shader_name(config: LayerConfig) -> str:
     return f"look{look_suffix(config.look)}.glslfx"
 
 
-def look_files(source: StageSource, output_folder: Path, config: LayerConfig) -> LookFiles:
-    """Where ``author_look`` will write, before anything is written."""
-    stem, suffix = PurePath(source.file_path).stem, look_suffix(config.look)
+def look_files(stage_file: str | PurePath, output_folder: Path, config: LayerConfig) -> LookFiles:
+    """Where ``author_look`` will write, before anything is written.
+
+    Args:
+        stage_file: the source; only its name counts.
+    """
+    stem, suffix = PurePath(stage_file).stem, look_suffix(config.look)
     folder = Path(output_folder)
     roots = {
         "sublayer": folder / f"{stem}_look{suffix}.usda",
