@@ -160,6 +160,8 @@ def frame_places(
         if form and (field != "frame" or not _WIDTH.fullmatch(form)):
             what = f"the format {form!r} of {{{field}}}"
             raise _wrong_template(template, what, "Only {frame} has one, such as {frame:04d}")
+    if template.startswith("/"):
+        raise _wrong_template(template, "an absolute path", "Give a path inside the output folder")
     if strange := re.sub(r"[\w./-]", "", literal):
         raise _wrong_template(template, repr(strange), "Use letters, digits, _ - . and / alone")
     if "frame" not in fields:

@@ -19,6 +19,9 @@ one, also those that the shape step moves:
                    n (ITERATION + V' (S PIXEL_TIME P' + VOXEL_TIME C) + LEARN_TIME C) / threads^GAIN
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
+Where a frame starts from its neighbour, two checkpoints of KEPT_BYTES N + KEPT_BOX_BYTES B add to
+the bytes while a run is at work: a new one is written beside the old one.
+
 Frames in an overlap of windows take twice the time, and two more files of 32-bit floats. The coarse
 step, if there is one, costs the work of the octaves up to its share of the resolution; windows then
 start above it. A frame that starts from its neighbour (a warm one) has the finest octave only.
@@ -97,6 +100,7 @@ MAP_TIME = 5.0e-7
 VIEW_TIME = 4.5e-7
 PAINT_TIME = 1.2e-6
 LEARN_TIME = 3.2e-6
+KEPT_BYTES, KEPT_BOX_BYTES = 65, 12  # of a checkpoint, which a window goes on from
 COARSE_BYTES = 44  # of a coarse voxel: displacement and colours, also as the next frame takes them
 GAIN = 0.40  # n threads, up to MOST_THREADS, are n ** GAIN times as fast
 
@@ -131,7 +135,7 @@ class CostEstimate:
 
     memory_gib: float  # peak
     seconds: float
-    bytes_written: int
+    bytes_written: int  # at most, with the checkpoints of a run at work
     coarse_seconds: float = 0.0  # of these, those of the coarse step that windows share
     bytes_temporary: int = 0  # of decoded source frames; where the disk is short, fewer are kept
 
@@ -204,11 +208,15 @@ def written_bytes(
     coarse: Sequence[FrameSize] = (),
 ) -> int:
     """Bytes of files: the result's frames, parts (one window's versions of frames that two windows
-    compute), and starts that the coarse step writes."""
+    compute), starts that the coarse step writes, and checkpoints."""
     plain = config.replace(grids=config.grids.replace(half=False), layer=LayerConfig())
     finest = 1.0 / coarse_factor(config) if coarse else 1.0
+    goes_on = any(not frame.window_start for frame in frames)
+    sizes = [_refined(frame, config) for frame in frames if goes_on]
+    kept = [KEPT_BYTES * active + KEPT_BOX_BYTES * box for active, box in sizes]
     return (
         sum(_frame_bytes(frame, config) for frame in frames)
+        + 2 * max(kept, default=0)
         + sum(_frame_bytes(replace(frame, n_copied=frame.n_moved), plain) for frame in parts)
         + sum(round(finest**3 * sum(_refined(f, config)) * COARSE_BYTES) for f in coarse)
     )

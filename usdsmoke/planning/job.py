@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pxr import Sdf
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.machine import check_packages
@@ -175,8 +176,13 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
         for text in fine_marks_remarks(volume, [styles[place].pixels for place in volume.styles])
     ]
     of_styles = filter(None, (style.note for style in styles))
-    linked = link_notes(request.output, output, Path(source.file_path))
-    plan = dataclasses.replace(plan, notes=(*linked, *plan.notes, *fine_marks, *of_styles))
+    opened = [*link_notes(request.output, output, Path(source.file_path))]
+    if config.layer.mode == "reference" and not stage.HasDefaultPrim():
+        opened.append(
+            f"the stage has no defaultPrim, so a reference to the asset has to name a prim, such "
+            f"as <{Sdf.Path(source.volumes[0].prim_path).GetPrefixes()[0]}>"
+        )
+    plan = dataclasses.replace(plan, notes=(*opened, *plan.notes, *fine_marks, *of_styles))
     targets = look_files(source.file_path, output, config.layer)
     files = _read_files(layer_files(stage), source, resolved)
     placed = [output / volume.file_of(f) for volume in plan.volumes for f in volume.frames]

@@ -17,6 +17,7 @@ from usdsmoke.planning.materials import lights_needed, lights_omitted, materials
 from usdsmoke.planning.networks import start_needed
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
 from usdsmoke.planning.visibility import invisible_parts, without_camera
+from usdsmoke.usd.schema import STYLE_API
 
 Volumes = Sequence[VolumePlan]
 
@@ -346,7 +347,7 @@ def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
     """What one Volume's stage values and headers leave out."""
     found: list[tuple[str, str]] = []
     if ignored := volume.source.request.ignored:
-        reason = "UsdSmokeStyleAPI is not applied to the prim; apply it to use them"
+        reason = f"{STYLE_API} is not applied to the prim; apply it to use them"
         found.append((", ".join(ignored), reason))
     ours = {*volume.config.colour_grids} & {*volume.source.other_fields}
     found += [(f"field {name}", REPLACED) for name in sorted(ours)]
@@ -355,7 +356,7 @@ def _omitted_of_volume(volume: VolumePlan) -> list[Omission]:
         found.append((what, "not used; stays in the source's files (layer.copy_fields)"))
     if volume.beside:
         what = f"{'grid' if len(volume.beside) == 1 else 'grids'} {', '.join(volume.beside)}"
-        found.append((what, "in the density's file; layer.copy_fields=[all] copies floats"))
+        found.append((what, "in the density's file; layer.copy_fields=[all] copies it too"))
     found += [(f"the copy of {name}", reason) for name, reason in volume.not_copied.items()]
     if volume.cuts and volume.config.windows.size > 1:
         found.append(("coherence over cuts", _cuts_text(volume.cuts)))

@@ -52,6 +52,7 @@ def find_changes(
     later: Mapping[str, Any],
     folder: Path | None = None,
     variants: tuple[Mapping[str, str], Mapping[str, str]] = ({}, {}),
+    stages: tuple[str, str] = ("", ""),
 ) -> Changes:
     """What differs between two descriptions of runs.
 
@@ -64,12 +65,14 @@ def find_changes(
         earlier, later: see ``identity.describe_run``.
         folder: of the stage, to tell when a file was written.
         variants: selected then and now, by variant set.
+        stages: the files then and now; another one is no difference by itself.
     """
     before, after = dict(_flatten(earlier)), dict(_flatten(later))
     names = [name for name in sorted({*before, *after}) if before.get(name) != after.get(name)]
     if not names:
         return Changes()
-    words = [*_frames(before, after), *_variants(*variants), *_styles(earlier, later)]
+    words = [f"the stage was {stages[0]}, now {stages[1]}"] if stages[0] != stages[1] else []
+    words += [*_frames(before, after), *_variants(*variants), *_styles(earlier, later)]
     range_differs = _FRAMES in names
     for name in names:
         absent = name not in before or name not in after

@@ -14,6 +14,7 @@ from typing import Any
 
 from usdsmoke import __version__
 from usdsmoke.base.errors import GridError, NonFiniteError
+from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.time_codes import format_time_code, format_time_codes
 from usdsmoke.config.run_sections import OWN_NETWORK, OptimizeConfig
@@ -108,7 +109,9 @@ class Identity:
             earlier, later = _without_selection(earlier), _without_selection(later)
         source = self._job.plan.source
         variants = (run.request.get("variants", {}), selected_variants(source))
-        return find_changes(earlier, later, Path(source.file_path).parent, variants)
+        now = relative_asset_path(source.file_path, self._job.output)
+        stages = (run.request.get("stage", now), now)
+        return find_changes(earlier, later, Path(source.file_path).parent, variants, stages)
 
 
 def describe_run(

@@ -25,6 +25,7 @@ from usdsmoke.config.resolve import (
 )
 from usdsmoke.config.settings import Config, style_shares
 from usdsmoke.usd.request_values import REQUEST_ATTRIBUTES, STYLE_IMAGES
+from usdsmoke.usd.schema import STYLE_API
 from usdsmoke.usd.volume_requests import has_request, request_origins
 
 
@@ -82,6 +83,12 @@ def resolve_volumes(
 
 def _refuse_without_images(source: StageSource, styles: Sequence[Path]) -> None:
     bare = [f"<{volume.prim_path}>" for volume in source.volumes if not volume.request.styles]
+    unread = [f"<{one.prim_path}>" for one in source.volumes if STYLE_IMAGES in one.request.ignored]
+    if unread and not styles:
+        raise ImageError(
+            f"{', '.join(unread)} has {STYLE_IMAGES}, which is ignored, because {STYLE_API} is not "
+            "applied to the prim. Apply it, or give --style."
+        )
     if bare and not styles:
         raise ImageError(
             f"no style image was given for {', '.join(bare)}. Give --style, or author "

@@ -1,6 +1,7 @@
 """Grids that were read, kept on disk: no file is decoded twice, and memory does not grow."""
 
 import dataclasses
+import errno
 import os
 import tempfile
 import threading
@@ -120,7 +121,9 @@ def _fits(kept: _Kept, request: GridRequest) -> bool:
 def _write(file: IO[bytes], field: DenseField) -> _Kept:
     start = -(-file.seek(0, os.SEEK_END) // _ALIGNED) * _ALIGNED
     file.seek(start)
-    field.values.tofile(file)  # raises OSError when it is cut short
+    field.values.tofile(file)
+    if file.seek(0, os.SEEK_END) < start + field.values.nbytes:  # a full disk, or a limit
+        raise OSError(errno.ENOSPC, "the file was cut short")
     nothing = np.zeros((0, 0, 0, *field.values.shape[3:]), np.float32)
     return _Kept(dataclasses.replace(field, values=nothing), field.values.shape, file, start)
 

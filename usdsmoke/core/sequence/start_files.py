@@ -149,8 +149,12 @@ def _displacement_of(arrays: Any) -> Displacement | None:
 
 
 def _save(arrays: dict[str, Any], file_path: Path) -> None:
-    with open(file_path, "wb") as stream:  # savez would add .npz to a temporary name
-        np.savez(stream, **arrays)
+    """As ``np.savez`` does, which would add .npz to a temporary name, and which leaves an archive
+    open behind an error."""
+    with zipfile.ZipFile(file_path, "w") as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, np.asanyarray(values), allow_pickle=False)
 
 
 def _load(file_path: Path, read: Callable[[Any], _Read]) -> _Read:

@@ -31,6 +31,7 @@ from usdsmoke.base.machine import (
 
 _LOWER = "Lower views.pool, views.image_size or grids.refine"
 _BROKEN_PIPE = 128 + 13
+_NO_ROOM = "failed to map segment"  # as the C library says it
 _AGAIN_S = 0.02  # until a signal that waits for an import is looked at again
 
 
@@ -196,6 +197,8 @@ def _report(error: BaseException, arguments: argparse.Namespace) -> None:
         message = f"out of memory. {_LOWER}."
     elif kind == "OutOfMemoryError":  # torch's
         message = f"out of memory on the GPU. {_LOWER}, or set optimize.device=cpu."
+    elif isinstance(error, ImportError) and _NO_ROOM in str(error):
+        message = "out of memory: a library cannot be loaded. Raise the limit of address space."
     elif not isinstance(error, UsdSmokeError):
         message = f"unexpected {kind}: {message}. Run with --verbose to see where, and report it."
     print(f"usdsmoke: {message}", file=sys.stderr)

@@ -36,9 +36,16 @@ _SAME_UNITS = 1e-4  # of a factor on extinction and emission
 _CLOSE = 1e-6  # of a matrix, relative to its largest element: what single precision can hold
 
 
-def check_extent(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
-    """The Volume has an extent; USD cannot work one out, and without it nothing frames it."""
+def check_extent(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
+    """The Volume has an extent; USD cannot work one out, and without it nothing frames it.
+
+    Fields that are known to be empty at every moment need none.
+    """
     if volume.GetAttribute("extent").HasAuthoredValue():
+        return []
+    shown = [sample for field in collect_fields(volume, interval) for sample in field.samples]
+    grids = [sample_grid(sample) for sample in shown]
+    if grids and all(grid is not None and grid.active_voxels == 0 for grid in grids):
         return []
     message = "no extent is authored, so the Volume has empty bounds. Author the box of its fields."
     return [Problem(Severity.WARN, str(volume.GetPath()), message)]

@@ -71,6 +71,11 @@ def _open_original(stage: StageOrFile) -> Usd.Stage:
             "Use the root layer that was written beside it, NAME_look.usda."
         )
     if not _leave_looks_out(stage).layers:
+        if lost := [path for path in root.subLayerPaths if not _finds(root, path)]:
+            raise StageError(
+                f"{root.identifier} has sublayers that are missing or cannot be read: "
+                f"{', '.join(lost)}. Restore them."
+            )
         raise StageError(
             f"no layer of the stage {root.identifier} was made by usdsmoke, so it has no look. "
             "Use a root layer such as NAME_look.usda."
@@ -176,6 +181,12 @@ def check_originals(stage: Usd.Stage, source: StageSource) -> None:
 def is_look_layer(layer: Sdf.Layer) -> bool:
     """Whether a layer is a look that usdsmoke has authored."""
     return bool(record_values(layer))
+
+
+def _finds(root: Sdf.Layer, path: str) -> bool:
+    """Whether a sublayer can be opened."""
+    with captured_diagnostics():
+        return Sdf.Layer.FindOrOpenRelativeToLayer(root, path) is not None
 
 
 def _real_path(stage: Usd.Stage) -> Path:
