@@ -64,6 +64,14 @@ def test_no_validator_finds_an_error_of_a_look(tmp_path: Path, kind: str) -> Non
     assert [item for item in own if item.severity == Severity.ERROR]
 
 
+@pytest.mark.usefixtures("core")
+def test_a_root_layer_without_its_look_names_what_is_missing(shot: Shot) -> None:
+    result = run(shot, "layer.contact_sheet=0")
+    result.look_layer.unlink()
+    with pytest.raises(StageError, match=r"missing.*look\.usda"):
+        validate_look(result.root_stage)
+
+
 @needs_usd(26, 5)
 def test_no_validator_finds_an_error_in_a_stage_made_of_files(tmp_path: Path) -> None:
     write_sequence(tmp_path, (1, 2, 3))

@@ -1,5 +1,6 @@
 """Several looks in one output folder, and the ways in which a look is put on the stage."""
 
+import dataclasses
 import json
 import random
 from pathlib import Path
@@ -13,6 +14,7 @@ from tests.fixtures.pipeline_fixtures import (
     Shot,
     contents,
     copied,
+    make_shot,
     run,
     run_until,
     shown_files,
@@ -175,3 +177,36 @@ def test_a_name_that_is_too_long_for_a_file_is_refused_before_anything_is_comput
     with pytest.raises(LayerError, match=r"\d+ bytes.*layer\.look"):
         run(shot, f"layer.look={'x' * 250}")
     assert core.stylized == [] and not shot.output.exists()
+
+
+def test_an_asset_of_another_stage_of_the_same_name_is_not_replaced(shot: Shot) -> None:
+    """Whatever references the asset would show another shot's smoke."""
+    run(shot, "layer.look=A", "layer.mode=reference")
+    before = file_hashes(shot.output)
+    other = make_shot(shot.folder / "other")
+    other = dataclasses.replace(other, output=shot.output)
+    for settings in (["layer.look=B"], ["layer.look=A"]):
+        with pytest.raises(LayerError, match=r"shot_asset\.usda holds the looks of .*in/shot"):
+            run(other, *settings, "layer.mode=reference")
+    assert file_hashes(shot.output) == before
+    # a look of the other stage that is there already cannot become a variant either
+    run(other, "layer.look=B")
+    with pytest.raises(LayerError, match=r"shot_asset\.usda"):
+        assemble(shot.output, look="B", mode="reference")
+    assert file_hashes(shot.output)["shot_asset.usda"] == before["shot_asset.usda"]
+
+
+def test_a_file_in_the_place_of_an_asset_is_not_replaced(shot: Shot) -> None:
+    shot.output.mkdir()
+    theirs = shot.output / "shot_asset.usda"
+    theirs.write_text("#usda 1.0\n")
+    with pytest.raises(LayerError, match="is not an asset of usdsmoke"):
+        run(shot, "layer.mode=reference")
+    assert theirs.read_text() == "#usda 1.0\n"
+
+
+def test_a_refusal_names_the_stage_if_it_is_another_one(shot: Shot) -> None:
+    run(shot)
+    other = dataclasses.replace(make_shot(shot.folder / "other", 2), output=shot.output)
+    with pytest.raises(OutputExists, match=r"the stage was \.\./in/shot\.usda, now \.\./other/in"):
+        run(other)

@@ -140,7 +140,7 @@ def test_windows_on_a_farm_are_delivered_by_the_assembly(farm: Shot) -> None:
         ("{name}.{frame:4}.vdb", r"format '4' of \{frame\}"),
         ("{name:>9}.{frame}.vdb", r"format '>9' of \{name\}"),
         ("../{name}.{frame}.vdb", r"part '\.\.'"),
-        ("/tmp/{name}.{frame}.vdb", r"part ''"),
+        ("/tmp/{name}.{frame}.vdb", "absolute path"),
         ("C:\\{name}.{frame}.vdb", "':"),
         ("{name}.{frame.vdb", "'{'"),
         ("VDB/{name}.{frame}.vdb", "holds the runs"),

@@ -221,6 +221,16 @@ def test_style_images_of_the_command_stand_in_for_all_and_for_their_weights(
     assert seen == [(0.5, 1), (0.5, 1), (0.5, 4)]
 
 
+def test_images_without_the_api_are_named_with_the_remedy(tmp_path: Path) -> None:
+    make_style(tmp_path / "style.png")
+    stage = write_stage(tmp_path, own="asset[] @@styleImages = [@./style.png@]")
+    text = stage.read_text()
+    assert "UsdSmokeStyleAPI" in text
+    stage.write_text(text.replace("UsdSmokeStyleAPI", "UsdSmokeOtherAPI"))
+    with pytest.raises(ImageError, match=r"</World/own> has .*styleImages.*UsdSmokeStyleAPI"):
+        pipeline.plan_request(Request(stage, None, tmp_path / "out"))
+
+
 def test_volumes_without_images_are_named(tmp_path: Path) -> None:
     make_style(tmp_path / "style.png")
     stage = write_stage(tmp_path, bare="", own="asset[] @@styleImages = [@./style.png@]", naked="")

@@ -19,8 +19,8 @@ one, also those that the shape step moves:
                    n (ITERATION + V' (S PIXEL_TIME P' + VOXEL_TIME C) + LEARN_TIME C) / threads^GAIN
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
-Where a frame starts from its neighbour, two checkpoints of KEPT_BYTES N + KEPT_BOX_BYTES B add to
-the bytes while a run is at work: a new one is written beside the old one.
+Where a frame starts from its neighbour, two checkpoints of KEPT_BYTES N + KEPT_BOX_BYTES B (with a
+shape step) add to the bytes: a new one is written beside the old one.
 
 Frames in an overlap of windows take twice the time, and two more files of 32-bit floats. The coarse
 step, if there is one, costs the work of the octaves up to its share of the resolution; windows then
@@ -207,13 +207,14 @@ def written_bytes(
     parts: Sequence[FrameSize] = (),
     coarse: Sequence[FrameSize] = (),
 ) -> int:
-    """Bytes of files: the result's frames, parts (one window's versions of frames that two windows
-    compute), starts that the coarse step writes, and checkpoints."""
+    """Bytes of the result's frames, parts (a window's versions of frames that two compute), starts
+    of the coarse step, and checkpoints."""
     plain = config.replace(grids=config.grids.replace(half=False), layer=LayerConfig())
     finest = 1.0 / coarse_factor(config) if coarse else 1.0
     goes_on = any(not frame.window_start for frame in frames)
     sizes = [_refined(frame, config) for frame in frames if goes_on]
-    kept = [KEPT_BYTES * active + KEPT_BOX_BYTES * box for active, box in sizes]
+    box_bytes = KEPT_BOX_BYTES if "shape" in config.optimize.steps else 0
+    kept = [KEPT_BYTES * active + box_bytes * box for active, box in sizes]
     return (
         sum(_frame_bytes(frame, config) for frame in frames)
         + 2 * max(kept, default=0)

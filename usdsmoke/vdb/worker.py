@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.base.errors import UsdSmokeError, WriteFailed
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.vdb.binding import binding_version, find_binding
 from usdsmoke.vdb.boxes import check_dense_size
@@ -124,12 +124,22 @@ def _read(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
         values = np.zeros([*shape, 3] if is_vector else shape, np.float32)
         if values.size:
             grid.copyToArray(values, ijk=tuple(int(index) for index in ijk_min))
-        np.save(folder / f"out{n}.npy", values, allow_pickle=False)
+        _hand_over(values, folder / f"out{n}.npy")
         described = {"ijk_min": [int(i) for i in ijk_min], "background": grid.background}
         if values.size and not is_vector:
             described["beside"] = _largest_beside(grid, described["ijk_min"], shape)
         grids.append(described)
     return grids, len(grids)
+
+
+def _hand_over(values: np.ndarray, file_path: Path) -> None:
+    try:
+        np.save(file_path, values, allow_pickle=False)
+    except OSError as error:  # not of the file that is read
+        raise WriteFailed(
+            f"cannot hand grids over in {file_path.parent.parent}: {error.strerror or error}. Free "
+            "some space there or set TMPDIR to another folder."
+        ) from error
 
 
 def _largest_beside(grid: Any, ijk_min: Sequence[int], shape: Sequence[int]) -> float:

@@ -290,6 +290,13 @@ def test_fields_from_several_files_are_found(tmp_path):
     assert "cache/smoke.0001.vdb, temp in" in found.message and "other/smoke" in found.message
 
 
+def test_smoke_that_is_known_to_be_empty_needs_no_extent(tmp_path):
+    (tmp_path / "cache").mkdir()
+    write_empty(tmp_path / "cache/smoke.0001.vdb")
+    empty = density_prim(FILE, grid='token fieldName = "emission"')
+    assert "VolumeExtentMissing" not in {item.rule for item in findings(tmp_path, empty, extent="")}
+
+
 def test_an_empty_grid_in_a_file_of_its_own_is_no_fault(tmp_path):
     write_sequence(tmp_path, [1])
     write_empty(tmp_path / "none.vdb")
