@@ -60,7 +60,7 @@ ABOUT = (
     "the example plume from the front and from the side; the same plume from the front, stylized "
     "with narrow views from there. Second row: a 2-D slab and, where its file is, the real plume "
     "in the same three pictures. [Cameras](stylize.md#cameras) shows what narrow views gain and "
-    "lose. [Quality and cost](../README.md#quality-and-cost) explains the scores. They are from "
+    "lose. [Closeness to the style](quality.md) explains the scores. They are from "
     "all sides; rows with narrow views are scored from the front. Means of six views differ from "
     "those of four views of another run there, by up to 0.1."
 )

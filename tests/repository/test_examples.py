@@ -207,6 +207,18 @@ def test_request_on_stage_fades_in(inputs: tuple[str | Path, ...], tmp_path: Pat
     assert whole(last["emission"]).any()
 
 
+def test_mask_paints_only_the_top(inputs: tuple[str | Path, ...], tmp_path: Path) -> None:
+    run_in_process(EXAMPLES / "mask/mask_by_height.py", *inputs, "--output", tmp_path)
+    look = Usd.Stage.Open(str(tmp_path / "look/mask_look.usda"))
+    volume = UsdVol.Volume.Get(look, "/plume/smoke")
+    field = UsdVol.OpenVDBAsset.Get(look, volume.GetFieldPath("density"))
+    emission = read_grids(Path(field.GetFilePathAttr().Get(3).resolvedPath))["emission"]
+    values = np.zeros((12, 20, 12, 3), np.float32)
+    emission.copyToArray(values)
+    heights = np.argwhere(values.any(axis=-1))[:, 1]
+    assert heights.min() > 0.25 * heights.max() > 0
+
+
 def test_python_api_stylizes_two_frames(inputs: tuple[str | Path, ...], tmp_path: Path) -> None:
     script = EXAMPLES / "python_api/stylize_and_check.py"
     printed = run_script(script, *inputs, "--output", tmp_path)

@@ -186,7 +186,7 @@ def test_an_asset_of_another_stage_of_the_same_name_is_not_replaced(shot: Shot) 
     other = make_shot(shot.folder / "other")
     other = dataclasses.replace(other, output=shot.output)
     for settings in (["layer.look=B"], ["layer.look=A"]):
-        with pytest.raises(LayerError, match=r"shot_asset\.usda holds the looks of .*in/shot"):
+        with pytest.raises(LayerError, match=r"shot_asset\.usda .*in/shot"):
             run(other, *settings, "layer.mode=reference")
     assert file_hashes(shot.output) == before
     # a look of the other stage that is there already cannot become a variant either
@@ -200,7 +200,7 @@ def test_a_file_in_the_place_of_an_asset_is_not_replaced(shot: Shot) -> None:
     shot.output.mkdir()
     theirs = shot.output / "shot_asset.usda"
     theirs.write_text("#usda 1.0\n")
-    with pytest.raises(LayerError, match="is not an asset of usdsmoke"):
+    with pytest.raises(LayerError, match=r"shot_asset\.usda"):
         run(shot, "layer.mode=reference")
     assert theirs.read_text() == "#usda 1.0\n"
 
@@ -208,5 +208,5 @@ def test_a_file_in_the_place_of_an_asset_is_not_replaced(shot: Shot) -> None:
 def test_a_refusal_names_the_stage_if_it_is_another_one(shot: Shot) -> None:
     run(shot)
     other = dataclasses.replace(make_shot(shot.folder / "other", 2), output=shot.output)
-    with pytest.raises(OutputExists, match=r"the stage was \.\./in/shot\.usda, now \.\./other/in"):
+    with pytest.raises(OutputExists, match=r" \.\./in/shot\.usda, .*\.\./other/in"):
         run(other)

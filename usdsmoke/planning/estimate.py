@@ -20,8 +20,7 @@ one, also those that the shape step moves:
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
 Where a frame starts from its neighbour, two checkpoints of KEPT_BYTES N + KEPT_BOX_BYTES B (with a
-shape step) add to the bytes: a new one is written beside the old one.
-
+shape step) add to the bytes: a new one is written beside the old.
 Frames in an overlap of windows take twice the time, and two more files of 32-bit floats. The coarse
 step, if there is one, costs the work of the octaves up to its share of the resolution; windows then
 start above it. A frame that starts from its neighbour (a warm one) has the finest octave only.

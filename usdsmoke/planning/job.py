@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf
 
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.machine import check_packages
@@ -179,8 +178,8 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
     opened = [*link_notes(request.output, output, Path(source.file_path))]
     if config.layer.mode == "reference" and not stage.HasDefaultPrim():
         opened.append(
-            f"the stage has no defaultPrim, so a reference to the asset has to name a prim, such "
-            f"as <{Sdf.Path(source.volumes[0].prim_path).GetPrefixes()[0]}>"
+            "the stage has no defaultPrim, so a reference to the asset has to name a prim, such as "
+            f"</{source.volumes[0].prim_path.split('/')[1]}>"
         )
     plan = dataclasses.replace(plan, notes=(*opened, *plan.notes, *fine_marks, *of_styles))
     targets = look_files(source.file_path, output, config.layer)

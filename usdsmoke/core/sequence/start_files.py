@@ -149,8 +149,7 @@ def _displacement_of(arrays: Any) -> Displacement | None:
 
 
 def _save(arrays: dict[str, Any], file_path: Path) -> None:
-    """As ``np.savez`` does, which would add .npz to a temporary name, and which leaves an archive
-    open behind an error."""
+    # savez would add .npz to a temporary name, and leave an archive open behind an error
     with zipfile.ZipFile(file_path, "w") as archive:
         for name, values in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
