@@ -51,7 +51,7 @@ _NARROW = 1 / 32  # shorter over longer side of a picture in which little is see
 class PreviewResult:
     """What was drawn."""
 
-    files: tuple[Path, ...]  # one; OpenEXR: one a frame, and one more of its source to compare
+    files: tuple[Path, ...]  # one; OpenEXR: one a frame, of each stage and of a source to compare
     time_codes: tuple[float, ...]
     width: int  # of one picture
     height: int
@@ -92,6 +92,7 @@ def preview(
             - compare: draw the stage without its looks as well.
             - prims: Volume prim paths; None means all.
             - look: a look of an asset that has several; empty draws the one that is selected.
+            - beside: other stages to draw beside it, from the same directions and at its frames.
             - width: pixels; the height follows from the camera's film or the smoke.
             - size: width and height, pixels.
             - background: of all but OpenEXR: ``grey`` (dark), ``black`` or ``none`` (transparent;
@@ -169,13 +170,15 @@ def _time_codes(request: PreviewRequest, look: Smoke) -> list[float]:
 
 def _open(request: PreviewRequest) -> dict[str, Smoke]:
     """By label, in the order of drawing."""
-    stage = request.stage
+    stage, smokes = request.stage, dict[str, Smoke]()
     shown = open_look(stage, request.look) if request.look else open_stage(stage)
     look = _find(request, shown)
-    if not request.compare:
-        return {LOOK: look}
-    original = _find(request, open_look(stage, ORIGINAL))
-    return {ORIGINAL: original, LOOK: look}
+    if request.compare:
+        smokes[ORIGINAL] = _find(request, open_look(stage, ORIGINAL))
+    smokes[LOOK] = look
+    for name, other in zip(request.names[1:], request.beside, strict=True):
+        smokes[name] = _find(request, open_stage(other))
+    return smokes
 
 
 def _find(request: PreviewRequest, stage: "Usd.Stage") -> Smoke:

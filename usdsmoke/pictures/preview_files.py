@@ -44,7 +44,7 @@ def write_layers(request: PreviewRequest, codes: Sequence[float], drawn: Drawn) 
 
     files = []
     for label, shot, picture in drawn:
-        stem = request.output.stem + (f".{ORIGINAL}" if label == ORIGINAL else "")
+        stem = request.output.stem + (f".{label}" if label != LOOK else "")
         name = f"{stem}{request.output.suffix}"
         if len(codes) > 1:
             names = frame_file_names(stem, codes, request.output.suffix)
@@ -56,7 +56,7 @@ def write_layers(request: PreviewRequest, codes: Sequence[float], drawn: Drawn) 
             "density": ("Y", picture.depth),
         }
         facts = {
-            "usdsmoke:stage": request.stage_name,
+            "usdsmoke:stage": request.stage_name if label in (LOOK, ORIGINAL) else label,
             "usdsmoke:camera": request.camera or "front view",
             "usdsmoke:timeCode": format_time_code(shot.time_code),
         }
@@ -75,28 +75,38 @@ def write_picture(request: PreviewRequest, drawn: Drawn, n_pictures: int) -> tup
     if n_pictures == 1:
         write_png(request.output, by_label[LOOK][0][1])
         return (request.output,)
-    rows = []
+    rows: list[list[tuple[str, np.ndarray]]] = []
     for start in range(0, len(by_label[LOOK]), _MOST_COLUMNS):
         for label, shown in by_label.items():
-            name = f"{label}, " if len(by_label) > 1 else ""
+            name = f"{_named(request, label)}, " if len(by_label) > 1 else ""
             rows.append(
                 [
                     (f"{name}{_caption(request, shot)}", picture)
                     for shot, picture in shown[start : start + _MOST_COLUMNS]
                 ]
             )
-    title = f"{request.stage_name}, {request.camera or 'front view'}"
+    if request.beside and n_pictures == len(by_label):  # one of each stage, in rows
+        all_alone = [row[0] for row in rows]
+        starts = range(0, n_pictures, _MOST_COLUMNS)
+        rows = [all_alone[start : start + _MOST_COLUMNS] for start in starts]
+    what = f"{len(request.names)} stages" if request.beside else request.stage_name
+    title = f"{what}, {request.camera or 'front view'}"
     if request.turntable:
         code = format_time_code(by_label[LOOK][0][0].time_code)
-        title = f"{request.stage_name}, timeCode {code}, around the up axis"
+        title = f"{what}, timeCode {code}, around the up axis"
     write_png(request.output, compose_sheet(title, rows))
     return (request.output,)
+
+
+def _named(request: PreviewRequest, label: str) -> str:
+    """A label as it is shown: where there are other stages, the first one has its name too."""
+    return request.names[0] if request.beside and label == LOOK else label
 
 
 def write_animation(
     request: PreviewRequest, milliseconds: Sequence[int], drawn: Drawn
 ) -> tuple[Path, ...]:
-    """One animation, with the original at the left of the look where both are drawn; its path.
+    """One animation: the original left of the look, other stages right of it; its path.
 
     Args:
         request: its background is not transparent.

@@ -32,6 +32,7 @@ class PreviewOptions(TypedDict, total=False):
     compare: bool
     prims: Sequence[str] | None
     look: str
+    beside: Sequence[StageOrFile]
     width: int | None
     size: tuple[int, int] | None
     background: str
@@ -60,6 +61,7 @@ class PreviewRequest:
     compare: bool = False  # draw the stage without its looks as well
     prims: Sequence[str] | None = None  # Volume prim paths; None means all
     look: str = ""  # of an asset that has several; "" draws the one that is selected
+    beside: Sequence[StageOrFile] = ()  # other stages, drawn from the same directions
     width: int | None = None  # pixels; the height follows from the camera's film or the smoke
     size: tuple[int, int] | None = None  # width and height, pixels
     background: str = BACKGROUNDS[0]  # of all but OpenEXR; none is transparent, for one PNG only
@@ -134,9 +136,19 @@ class PreviewRequest:
     @property
     def stage_name(self) -> str:
         """The file name of the stage."""
-        if isinstance(self.stage, Usd.Stage):
-            return str(self.stage.GetRootLayer().GetDisplayName())
-        return Path(self.stage).name
+        return _file_of(self.stage).name
+
+    @property
+    def names(self) -> list[str]:
+        """What the stage and those beside it are called: without suffix, with the folder if two
+        have the same name, with a number if that does not help."""
+        files = [_file_of(stage) for stage in (self.stage, *self.beside)]
+        found = [file.stem for file in files]
+        if len({*found}) < len(found):
+            found = [f"{file.absolute().parent.name}_{file.stem}" for file in files]
+        if len({*found}) < len(found):
+            found = [f"{name}_{number}" for number, name in enumerate(found, 1)]
+        return found
 
     @property
     def is_exr(self) -> bool:
@@ -170,6 +182,13 @@ class PreviewRequest:
             width, height = _round(_LONGEST_SIDE * aspect), _LONGEST_SIDE
         check_pixels(width, height)
         return height, width
+
+
+def _file_of(stage: StageOrFile) -> Path:
+    if isinstance(stage, Usd.Stage):
+        layer = stage.GetRootLayer()
+        return Path(layer.realPath or layer.GetDisplayName())
+    return Path(stage)
 
 
 def check_pixels(width: int, height: int, n_pictures: int = 1) -> None:

@@ -43,6 +43,28 @@ def look(tmp_path: Path) -> Path:
     return look_of_four_frames(tmp_path)
 
 
+def test_other_stages_are_drawn_beside_the_first(look: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.usda"
+    Usd.Stage.Open(str(look)).Export(str(other))  # flattened: it shows the same
+    stage = Usd.Stage.Open(str(other))
+    stage.GetAttributeAtPath("/World/smoke.usdSmoke:extinctionPerDensity").Set(1.0)
+    stage.Save()
+    result = preview(look, tmp_path / "a.exr", frames="2", beside=[other, stage], size=(61, 41))
+    names = ["a.exr", "a.other_1.exr", "a.other_2.exr"]
+    assert [file.name for file in result.files][:1] == names[:1] and len(result.files) == 3
+    depths = [parts(file)["density"][1][20, 30] for file in result.files]
+    assert depths == pytest.approx([0.5 * LENGTH, LENGTH, LENGTH], rel=1e-5)
+
+
+def test_a_sheet_has_a_column_or_a_row_for_each_stage(look: Path, tmp_path: Path) -> None:
+    sizes = []
+    for frames in ("2", "2-3"):
+        preview(look, tmp_path / "a.png", frames=frames, beside=[look] * 2, size=(300, 200))
+        sizes.append(pixels(tmp_path / "a.png").shape[:2])
+    (low, wide), (high, narrow) = sizes
+    assert wide > 3 * 300 > narrow > 2 * 300 and high > 3 * 200 > low > 200
+
+
 # What is drawn
 
 

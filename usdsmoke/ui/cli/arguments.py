@@ -205,7 +205,10 @@ def _add_validate(commands: Any) -> None:
 def _add_preview(commands: Any) -> None:
     parser = add_command(commands, "preview", "draw the smoke of a stage, including its looks")
     parser.add_argument(
-        "stage", metavar="STAGE", help="a USD file; to draw a look, give its root layer"
+        "stage",
+        nargs="+",
+        metavar="STAGE",
+        help="a USD file; to draw a look, give its root layer; more of them are drawn beside it",
     )
     parser.add_argument(
         "-o",

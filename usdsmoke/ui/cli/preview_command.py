@@ -22,8 +22,9 @@ def run_preview(arguments: argparse.Namespace) -> int:
 
     def draw(progress: Callable[[int, int], None]) -> "PreviewResult":
         return preview(
-            arguments.stage,
+            arguments.stage[0],
             arguments.output,
+            beside=arguments.stage[1:],
             camera=arguments.camera,
             frames=arguments.frames or "",
             allow_missing=bool(arguments.allow_missing),
