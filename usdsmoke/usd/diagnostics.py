@@ -112,7 +112,7 @@ def layer_problem(file_path: str, refusal: Tf.ErrorException | None = None) -> s
     except (FileNotFoundError, NotADirectoryError):
         if FRAME_PATTERN.search(os.path.basename(file_path)) and file_path.lower().endswith(".vdb"):
             return f"{file_path} names VDB files, not a stage. {_make_stage(file_path)}"
-        return f"there is no file {file_path}. Check the path."
+        return f"there is no file {os.path.abspath(file_path)}. Check the path."
     except IsADirectoryError:
         stages = [p for name in _RESULTS for p in sorted(Path(found).glob(f"*_{name}.usd[ac]"))]
         advice = f"Give the stage {stages[0]}." if stages else _FORMATS
