@@ -59,7 +59,8 @@ def write_masks(volume: UsdVol.Volume, folder: Path, begin: float, end: float) -
         ramp = np.clip((share - begin) / (end - begin), 0.0, 1.0).astype(np.float32)
         mask.copyFromArray(ramp, ijk=first)
         mask.name, mask.transform, mask.gridClass = NAME, grid.transform, "fog volume"
-        written[code] = folder / f"{NAME}.{number:04d}.vdb"
+        prim_name = volume.GetPrim().GetName()
+        written[code] = folder / f"{NAME}_{prim_name}.{number:04d}.vdb"
         openvdb.write(str(written[code]), grids=[mask])
     return written
 
@@ -95,7 +96,7 @@ def author_masks(stage_file: Path, mask_file: Path, begin: float, end: float) ->
     for prim in list(stage.Traverse()):
         if prim.IsA(UsdVol.Volume):
             volume = UsdVol.Volume(prim)
-            path = density_path(volume).GetParentPath().AppendChild(NAME)
+            path = density_path(volume).GetParentPath().AppendChild(f"{NAME}_{prim.GetName()}")
             field = UsdVol.OpenVDBAsset.Define(stage, path)
             field.CreateFieldNameAttr(NAME)
             field.CreateFieldDataTypeAttr("float")

@@ -44,6 +44,8 @@ class StandIn:
                 os.kill(os.getpid(), signal.SIGKILL)
             if self.what == "bug":
                 raise KeyError("a key")
+            if self.what == "memory":
+                raise RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to")
             raise NonFiniteError("there is a NaN. Repair it.")
         if window is not None and self.what == "wait":
             time.sleep(60)
@@ -77,6 +79,7 @@ def test_processes_share_the_windows_after_the_coarse_step(tmp_path, monkeypatch
     ("what", "error", "text"),
     [
         ("kill", ClusterError, "window 1 failed.*exit code -9.*--jobs"),
+        ("memory", ClusterError, "window 1 failed.*--jobs"),
         ("bug", RuntimeError, "window 1 failed: KeyError: 'a key'"),
         ("", NonFiniteError, "NaN"),
     ],

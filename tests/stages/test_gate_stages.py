@@ -1,5 +1,6 @@
 """Mends, and USD's own validators over every kind of stage that is written."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from tests.fixtures.usd_fixtures import (
     density_prim,
     needs_usd,
     sampled,
+    sequence,
     volume_prim,
     world,
     write_sequence,
@@ -67,9 +69,10 @@ def test_no_validator_finds_an_error_of_a_look(tmp_path: Path, kind: str) -> Non
 @pytest.mark.usefixtures("core")
 def test_a_root_layer_without_its_look_names_what_is_missing(shot: Shot) -> None:
     result = run(shot, "layer.contact_sheet=0")
-    result.look_layer.unlink()
-    with pytest.raises(StageError, match=r"missing.*look\.usda"):
-        validate_look(result.root_stage)
+    for make in (result.look_layer.unlink, partial(result.look_layer.write_text, "#usda 1.0\n }")):
+        make()
+        with pytest.raises(StageError, match=r"look\.usda"):
+            validate_look(result.root_stage)
 
 
 @needs_usd(26, 5)
@@ -131,6 +134,29 @@ def test_a_grid_of_another_name_gets_a_relationship_of_its_own_and_is_stylized(
 
 
 @needs_usd(26, 11)
+@needs_usd(26, 11)
+def test_a_mended_extent_holds_what_a_static_field_shows(tmp_path: Path) -> None:
+    """And what is held between two files."""
+    write_vdb(tmp_path / "still.vdb")
+    for code in (100, 200):
+        write_vdb(tmp_path / f"cache/smoke.{code:04d}.vdb")
+    moving = density_prim(sequence([100, 200]), "temp")
+    moving = moving.replace("{", "{\n double3 xformOp:translate.timeSamples = "
+        "{100: (50, 0, 0), 200: (90, 0, 0)}\n uniform token[] xformOpOrder = "
+        '["xformOp:translate"]', 1)  # fmt: skip
+    body = density_prim("asset filePath = @./still.vdb@") + moving
+    relations = "\n".join(
+        f"rel field:{name} = </World/smoke/{name}>" for name in ("density", "temp")
+    )
+    stage_file = write_text(tmp_path / "s.usda", world(volume_prim(body, relations=relations)))
+    write_mends(stage_file, tmp_path / "mended.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "mended.usda"))
+    extent = stage.GetAttributeAtPath("/World/smoke.extent")
+    for code in (0, 100, 150, 199, 200, 300):
+        low, high = extent.Get(code)
+        assert low[0] <= 0 and high[0] >= (50 if code < 200 else 90)
+
+
 def test_where_nothing_can_be_mended_no_layer_is_written(shot: Shot, tmp_path: Path) -> None:
     clean = faulty(tmp_path)
     write_mends(clean, tmp_path / "first.usda")

@@ -132,7 +132,8 @@ def _check_rest(item: FoundRecord) -> Iterator[Change]:
     if any(run.run_id == item.record.run for run in find_runs(item.folder)):
         return
     expected = "the record of the run, which assembles and repeats it"
-    damaged = damaged_records(item.folder)
+    folders = {item.place(name).parent for name in item.record.results}
+    damaged = [file for file in damaged_records(item.folder) if file.parent in folders]
     for file in damaged:
         yield Change.note("run-damaged", str(file), expected, "a file that cannot be read")
     if not damaged:

@@ -81,6 +81,8 @@ class UnsupportedGrid(GridError):
 class DamagedFile(GridError):
     """Not a VDB file, truncated, or so damaged that reading it fails, hangs or exhausts memory."""
 
+    lacks_memory = False  # True: memory ran out, and a large file may be intact
+
 
 class GridTooLarge(GridError):
     """The active bounding box does not fit the memory limit as a dense array."""
@@ -136,6 +138,16 @@ class MissingPackage(UsdSmokeError):
 
 class Interrupted(UsdSmokeError):
     """The user stopped the run; nothing half-made was left behind."""
+
+
+_NO_MEMORY = ("can't allocate memory", "failed to map segment", "out of memory")
+
+
+def lacks_memory(error: BaseException) -> bool:
+    """Whether an error of Python, torch or the system's loader means that memory ran out."""
+    kinds = (RuntimeError, ImportError, OSError)
+    told = isinstance(error, kinds) and any(text in str(error) for text in _NO_MEMORY)
+    return isinstance(error, MemoryError) or told
 
 
 def count_text(count: int, noun: str) -> str:

@@ -73,8 +73,8 @@ def available_memory_gib() -> float:
     """Available memory, GiB: the machine's or that of a control group, whichever is least.
 
     Counted are the process's own group and those above it, of either version of control groups.
-    Files that the system keeps in memory do not count as used, as it gives them up. Infinite if the
-    system does not report it.
+    Files that the system keeps in memory, and that were not used lately, do not count as used: it
+    gives them up. Infinite if the system does not report it.
     """
     candidates = [math.inf]
     for line in _lines(_PROCESSES / "meminfo"):
@@ -121,7 +121,7 @@ def free_disk_bytes(folder: Path) -> int:
 
 def _lines(file_path: Path) -> list[str]:
     try:
-        return file_path.read_text(encoding="ascii").splitlines()
+        return file_path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return []
 

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
-from usdsmoke.base.errors import ClusterError, Interrupted, PlanError, UsdSmokeError
+from usdsmoke.base.errors import ClusterError, Interrupted, PlanError, UsdSmokeError, lacks_memory
 from usdsmoke.base.machine import (
     available_memory_gib,
     limit_cpus,
@@ -206,7 +206,9 @@ class _Pool:
         if isinstance(message, UsdSmokeError):
             raise message
         if isinstance(message, _Unexpected):
-            error = RuntimeError(f"{self._name(window)} failed: {message.text}")
+            error = RuntimeError(
+                f"{self._name(window)} failed: {message.text}. Finished windows are kept"
+            )
             error.details = message.trace  # type: ignore[attr-defined]
             raise error
         if isinstance(message, RunProgress):
@@ -246,7 +248,7 @@ def _work(connection: Connection, tasks: Tasks) -> None:
             except UsdSmokeError as error:
                 connection.send(error)
             except Exception as error:
-                if isinstance(error, MemoryError):
+                if lacks_memory(error):
                     raise  # the process ends, and what is told is why that may be
                 text = f"{type(error).__name__}: {error}"
                 connection.send(_Unexpected(text, traceback.format_exc()))

@@ -134,7 +134,7 @@ class CostEstimate:
 
     memory_gib: float  # peak
     seconds: float
-    bytes_written: int  # at most, with the checkpoints of a run at work
+    bytes_written: int  # with the checkpoints of one window at work
     coarse_seconds: float = 0.0  # of these, those of the coarse step that windows share
     bytes_temporary: int = 0  # of decoded source frames; where the disk is short, fewer are kept
 
@@ -210,8 +210,8 @@ def written_bytes(
     of the coarse step, and checkpoints."""
     plain = config.replace(grids=config.grids.replace(half=False), layer=LayerConfig())
     finest = 1.0 / coarse_factor(config) if coarse else 1.0
-    goes_on = any(not frame.window_start for frame in frames)
-    sizes = [_refined(frame, config) for frame in frames if goes_on]
+    goes_on = any(not frame.window_start for frame in (*frames, *parts))
+    sizes = [_refined(frame, config) for frame in (*frames, *parts) if goes_on]
     box_bytes = KEPT_BOX_BYTES if "shape" in config.optimize.steps else 0
     kept = [KEPT_BYTES * active + box_bytes * box for active, box in sizes]
     return (

@@ -1,12 +1,14 @@
 """The grids of one timeCode of one Volume: which, and from which files; from headers alone."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from usdsmoke.base.errors import GridNotFound, UnsupportedGrid
+from usdsmoke.base.errors import GridNotFound
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import (
+    FIELD_SEPARATORS,
     GRID_SEPARATORS,
     FieldSource,
     FrameSource,
@@ -71,17 +73,12 @@ def find_frame_velocity(
         GridNotFound: the named velocity does not exist.
     """
     sources = [frame.fields[name] for name in volume.velocity if name in frame.fields]
-    is_split = len({source.file_path for source in sources}) > 1
-    if sources and not is_split and (shown := _shown_velocity(sources, headers)):
-        return shown
+    if sources and len({source.file_path for source in sources}) == 1:
+        if shown := _shown_velocity(sources, headers[sources[0].file_path]):
+            return shown
     density, name = frame.fields[volume.density], config.stage.velocity
     header = headers[density.file_path]
     grids = find_velocity(header, name)
-    if is_split and not grids:
-        raise UnsupportedGrid(
-            f"the components of the velocity of <{volume.prim_path}> are in several files. Merge "
-            "them into one file, or name another velocity by stage.velocity."
-        )
     if name and not grids:
         raise GridNotFound(
             f'there is no velocity "{name}" on <{volume.prim_path}> or in '
@@ -90,25 +87,36 @@ def find_frame_velocity(
     return VelocitySource(density, name, grids) if grids else None
 
 
-def _shown_velocity(
-    sources: Sequence[FieldSource], headers: Mapping[str, FileHeader]
-) -> VelocitySource | None:
-    """The velocity that a Volume's own relationships show, all from one file.
+def is_split(volume: VolumeSource, frame: FrameSource) -> bool:
+    """Whether the components of a Volume's velocity lie in several files, which is not read."""
+    return len({frame.fields[n].file_path for n in volume.velocity if n in frame.fields}) > 1
 
-    Three relationships show a grid each. The grid of a single one may also be the first of three.
+
+def _shown_velocity(sources: Sequence[FieldSource], header: FileHeader) -> VelocitySource | None:
+    """The velocity that a Volume's own relationships show, all from one file; None: none of it.
+
+    Three relationships show a grid each. The grid of a single one, or where one of three is
+    missing, may also be the first of three in the file.
     """
-    first, header = sources[0], headers[sources[0].file_path]
-    if len(sources) > 1 and all(source.grid_name for source in sources):
-        wanted = [GridRequest(one.grid_name, one.grid_index, field_place(one)) for one in sources]
-        parts = tuple(find_grid(header, request) for request in wanted)
-        return VelocitySource(first, first.grid_name, parts)
-    base = first.grid_name
-    for separator in GRID_SEPARATORS:
-        base = base.removesuffix(f"{separator}x")
+    first, n_named = sources[0], sum(bool(source.grid_name) for source in sources)
+    base = _without_axis(first.grid_name, GRID_SEPARATORS)
+    if n_named == 3:
+        with suppress(GridNotFound):
+            wanted = [(one.grid_name, one.grid_index, field_place(one)) for one in sources]
+            parts = tuple(find_grid(header, GridRequest(*request)) for request in wanted)
+            if base == first.grid_name:  # u, v and w: the relationships tell what they are
+                base = _without_axis(first.relationship, FIELD_SEPARATORS)
+            return VelocitySource(first, base, parts)
     grids = find_velocity(header, base) if base else ()
     if len(grids) == 1:
         grids = (find_grid(header, GridRequest(base, first.grid_index, field_place(first))),)
     return VelocitySource(first, base, grids) if grids else None
+
+
+def _without_axis(name: str, separators: Sequence[str]) -> str:
+    """What the names of three components have in common, by that of x."""
+    ending = next((f"{one}x" for one in separators if name.endswith(f"{one}x")), "")
+    return name.removesuffix(ending)
 
 
 def find_frame_mask(

@@ -13,6 +13,7 @@ from usdsmoke.core.features.layers import content_layers, style_layers, vgg19_la
 from usdsmoke.core.sequence.controls import SETTINGS, are_independent, in_effect, step_iterations
 from usdsmoke.core.smoke.schedule import has_one_view, pool_size, views_aside
 from usdsmoke.planning.copied import REPLACED
+from usdsmoke.planning.frames import is_split
 from usdsmoke.planning.materials import lights_needed, lights_omitted, materials_needed
 from usdsmoke.planning.networks import start_needed
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
@@ -329,6 +330,8 @@ def _why_no_velocity(volumes: Volumes, config: Config) -> str:
         return "windows.size is 1, so no frame starts from another"
     if all(len(window.time_codes) == 1 for volume in volumes for window in volume.windows):
         return "no two frames share a window"
+    if any(is_split(volume.source, frame.source) for volume in volumes for frame in volume.frames):
+        return "its components are in several files. Merge them into one file per frame"
     return (
         "none found, so the pattern stays in place unless stage.motion=estimate. The smoke moves "
         "without it; grids of unusual names are named with stage.velocity"

@@ -95,7 +95,7 @@ class OpenRun:
         if self.task:
             return f"stopped in {self.task}. Run the command again."
         if self.run.is_useless():
-            return "stopped before the first frame was finished. Nothing was left behind."
+            return "stopped before the first frame was finished."
         tasks = self.plan.tasks
         done = {task.number for task in tasks if self.run.window(task.number) is not None}
         n_frames = sum(

@@ -46,6 +46,8 @@ _PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
 class ChildFailure(Exception):
     """The worker gave no answer; the text says why. Its callers turn it into a named error."""
 
+    lacks_memory = False
+
 
 def run_child(
     request: Mapping[str, Any], arrays: Sequence[np.ndarray], config: GridsConfig
@@ -285,7 +287,9 @@ def _sweep(folder: str) -> None:
 def _answer(folder: str) -> dict[str, Any]:
     answer: dict[str, Any] = json.loads((Path(folder) / "answer.json").read_text(encoding="utf-8"))
     if "failure" in answer:
-        raise ChildFailure(answer["failure"])
+        failure = ChildFailure(answer["failure"])
+        failure.lacks_memory = answer.get("lacks_memory", False)
+        raise failure
     if "error" in answer:
         raise getattr(errors, answer["error"])(answer["message"])
     return answer

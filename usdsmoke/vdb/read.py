@@ -197,11 +197,13 @@ def _open(
     try:
         return child.run_child(request, [], limited)
     except ChildFailure as failure:
-        raise DamagedFile(
+        error = DamagedFile(
             f"cannot read {_place(header, requests[0])}: {failure}. The file is probably damaged. "
             "Write or copy it again. If it is intact, raise grids.memory_limit_gib or "
             "grids.time_limit_s."
-        ) from None
+        )
+        error.lacks_memory = failure.lacks_memory
+        raise error from None
 
 
 def _time_limit(header: FileHeader, config: GridsConfig) -> float:
@@ -264,14 +266,14 @@ def _count_bad(
     ijk_min: Sequence[int],
     repair: float | None,
 ) -> int:
-    """Voxels with NaN or infinity; an error if there are any and nothing replaces them."""
+    """Voxels with NaN or infinity, 1 for a background alone; an error if nothing replaces them."""
     if np.isfinite(values).all() and np.isfinite(background).all():
         return 0
     bad = ~np.isfinite(values)
     bad = bad.any(axis=-1) if bad.ndim == 4 else bad
     count = int(bad.sum())
     if repair is not None:
-        return count
+        return max(count, 1)  # a background stands for many
     what = "a background that is NaN or infinite"
     if count:
         first = np.argwhere(bad)[0] + np.asarray(ijk_min)

@@ -70,7 +70,8 @@ def answer_request(folder: Path, grown: int = 0) -> bool:
         answer = {"error": type(error).__name__, "message": str(error)}
     except MemoryError:
         limit = request["memory_limit_bytes"] / 2**30
-        answer = {"failure": f"it needs more than {limit:g} GiB of memory"}
+        failure = f"it needs more than {limit:g} GiB of memory"
+        answer = {"failure": failure, "lacks_memory": True}
     except _BINDING_ERRORS as error:
         text = " ".join(str(error).split()) or type(error).__name__
         answer = {"failure": f"{request.get('reader', 'OpenVDB')} says: {text}"}

@@ -246,11 +246,11 @@ def _machine_facts(case: Case, budget: Budget) -> dict[str, str]:
     import torch
 
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    threads = "no" if case.on_gpu else n_sharing()
+    threads = "" if case.on_gpu else f", {n_sharing()} threads used"
     return {
         "date": datetime.date.today().isoformat(),
         "system": platform_name(),
-        "processor": f"{processor_name()}, {usable_cpus()} cores, {threads} threads used",
+        "processor": f"{processor_name()}, {usable_cpus()} cores{threads}",
         "memory": f"{memory:.0f} GiB",
         "GPU": torch.cuda.get_device_name(case.device) if case.on_gpu else "not used",
         "load": f"{os.getloadavg()[0]:.1f} at the end",

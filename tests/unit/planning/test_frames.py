@@ -24,6 +24,7 @@ from usdsmoke.planning.frames import (
     VelocitySource,
     find_density,
     find_frame_velocity,
+    is_split,
 )
 from usdsmoke.usd.stage import find_volumes, open_stage
 from usdsmoke.vdb.header import FileHeader, read_header
@@ -148,7 +149,35 @@ def test_three_relationships_show_a_grid_each(
     np.testing.assert_array_equal(read.velocity.values[0, 1, 0], [1, 2, 3])
 
 
-def test_components_in_several_files_are_refused_where_no_other_velocity_is(
+def test_the_whole_of_three_relationships_has_a_name(tmp_path: Path) -> None:
+    """By which ``layer.copy_fields`` names it."""
+    for number, grids in enumerate((("vel_x", "vel_y", "vel_z"), ("u", "v", "w"))):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        velocity = velocity_of(split_velocity(folder, ("vel_x", "vel_y", "vel_z"), grids), Config())
+        assert velocity is not None and {"vel", *grids} <= velocity.names
+
+
+@pytest.mark.parametrize("fault", ["missing grid", "gap"])
+def test_where_a_component_is_missing_the_usual_grids_of_the_file_are_taken(
+    tmp_path: Path, quick_grids: None, fault: str
+) -> None:
+    names = ("vel_x", "vel_y", "vel_z")
+    stage = split_velocity(tmp_path, names, names)
+    text = stage.read_text()
+    head, part, tail = text.partition('"part2"')
+    if fault == "gap":
+        tail = tail.replace("asset filePath = @./smoke.vdb@", "asset filePath = None", 1)
+    else:
+        tail = tail.replace('fieldName = "vel_z"', 'fieldName = "vel_q"', 1)
+    stage.write_text(head + part + tail)
+    volume, frame = only_frame(stage, Config())
+    read = read_frame(volume, frame, Config(), velocity_of(stage, Config()))
+    assert read.velocity is not None
+    np.testing.assert_array_equal(read.velocity.values[0, 1, 0], [1, 2, 3])
+
+
+def test_components_in_several_files_are_no_velocity_and_it_is_told(
     tmp_path: Path, quick_grids: None
 ) -> None:
     names = ("vel_x", "vel_y", "vel_z")
@@ -157,8 +186,10 @@ def test_components_in_several_files_are_refused_where_no_other_velocity_is(
     head, part, tail = stage.read_text().partition('"part2"')
     stage.write_text(head + part + tail.replace("smoke.vdb", "other.vdb", 1))
     write_raw(tmp_path / "smoke.vdb", raw_grid(np.ones((2, 2, 2))))
-    with pytest.raises(UnsupportedGrid, match="several files"):
-        velocity_of(stage, Config())
+    assert velocity_of(stage, Config()) is None
+    assert is_split(*only_frame(stage, Config()))
+    with pytest.raises(GridNotFound, match='"vel"'):
+        velocity_of(stage, resolve_config(["stage.velocity=vel"]))
 
 
 def test_without_a_velocity_source_no_velocity_is_read(tmp_path: Path, quick_grids: None) -> None:

@@ -175,7 +175,8 @@ def join_run(
 
 @contextmanager
 def _beginning(output: Path, lock: OutputLock) -> Iterator[None]:
-    """Begin a run while no other process does; a refusal leaves no lock file in an empty folder."""
+    """Begin a run while no other process does; a refusal leaves no lock file in an empty folder,
+    where the file system can tell that nobody else is working there."""
     try:
         with hold_file(output / _BEGINNING):
             yield

@@ -21,7 +21,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
-from usdsmoke.base.errors import Interrupted, UsdSmokeError
+from usdsmoke.base.errors import Interrupted, UsdSmokeError, lacks_memory
 from usdsmoke.base.machine import (
     check_packages,
     missing_package,
@@ -31,7 +31,6 @@ from usdsmoke.base.machine import (
 
 _LOWER = "Lower views.pool, views.image_size or grids.refine"
 _BROKEN_PIPE = 128 + 13
-_NO_ROOM = "failed to map segment"  # as the C library says it
 _AGAIN_S = 0.02  # until a signal that waits for an import is looked at again
 
 
@@ -193,12 +192,12 @@ def _report(error: BaseException, arguments: argparse.Namespace) -> None:
     kind, message = type(error).__name__, str(error)
     if isinstance(error, KeyboardInterrupt):
         kind, message = Interrupted.__name__, "stopped. No incomplete files are left"
-    elif isinstance(error, MemoryError):
-        message = f"out of memory. {_LOWER}."
     elif kind == "OutOfMemoryError":  # torch's
         message = f"out of memory on the GPU. {_LOWER}, or set optimize.device=cpu."
-    elif isinstance(error, ImportError) and _NO_ROOM in str(error):
+    elif isinstance(error, ImportError) and lacks_memory(error):
         message = "out of memory: a library cannot be loaded. Raise the limit of address space."
+    elif lacks_memory(error):
+        message = f"out of memory. {_LOWER}."
     elif not isinstance(error, UsdSmokeError):
         message = f"unexpected {kind}: {message}. Run with --verbose to see where, and report it."
     print(f"usdsmoke: {message}", file=sys.stderr)

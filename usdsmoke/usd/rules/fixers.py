@@ -6,7 +6,7 @@ one above it. OpenUSD has fixers since 26.11.
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from pxr import Gf, Sdf, Usd, UsdVol
 from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.usd.field_samples import FieldSamples, field_targets, usd_time
 from usdsmoke.usd.field_tokens import DATA_TYPES
-from usdsmoke.usd.rules.facts import collect_fields, field_to_stage, sample_grid
+from usdsmoke.usd.rules.facts import FieldFacts, collect_fields, field_to_stage, sample_grid
 from usdsmoke.usd.values import Box, extent_value, held_extents, value_at
 from usdsmoke.vdb.boxes import corners_extent, union_extent
 
@@ -29,26 +29,31 @@ _ALWAYS = Gf.Interval(-math.inf, math.inf)
 
 def author_missing_extent(volume: Usd.Prim, _layer: Sdf.Layer) -> bool:
     """The box of all grids of a Volume, from the headers of its files, at every timeCode."""
-    boxes: dict[float | None, list[Box]] = {}
-    for field in collect_fields(volume, _ALWAYS):
-        for sample in field.samples:
-            grid = sample_grid(sample)
-            if grid is None or grid.extent is None:
-                continue
-            place = field_to_stage(volume, sample.time_code)
-            if not abs(np.linalg.det(place[:3, :3])) > 0:
-                continue
-            to_volume = field_to_stage(field.prim, sample.time_code) @ np.linalg.inv(place)
-            box = corners_extent(*grid.extent, to_volume)
-            boxes.setdefault(sample.time_code, []).append(box)
+    fields = collect_fields(volume, _ALWAYS)
+    codes = {sample.time_code for field in fields for sample in field.samples}
+    codes = codes - {None} or codes
+    boxes = {code: box for code in codes if (box := _box_at(volume, fields, code)) is not None}
     if not boxes:
         return False
-    extent, joined = volume.GetAttribute("extent"), {k: union_extent(v) for k, v in boxes.items()}
-    extent.Set(extent_value(*union_extent(list(joined.values()))))
-    held = {code: box for code, box in joined.items() if code is not None}
+    extent = volume.GetAttribute("extent")
+    extent.Set(extent_value(*union_extent(list(boxes.values()))))
+    held = {code: box for code, box in boxes.items() if code is not None}
     for code, value in held_extents(held).items():
         extent.Set(value, code)
     return True
+
+
+def _box_at(volume: Usd.Prim, fields: Sequence[FieldFacts], code: float | None) -> Box | None:
+    """The box of all that the fields show at a time, in the Volume's space; None: of nothing."""
+    place, boxes = field_to_stage(volume, code), []
+    if not abs(np.linalg.det(place[:3, :3])) > 0:
+        return None
+    for field in fields:
+        grid = sample_grid(field.at(code))
+        if grid is not None and grid.extent is not None:
+            to_volume = field_to_stage(field.prim, code) @ np.linalg.inv(place)
+            boxes.append(corners_extent(*grid.extent, to_volume))
+    return union_extent(boxes) if boxes else None
 
 
 def author_data_type(field: Usd.Prim, _layer: Sdf.Layer) -> bool:

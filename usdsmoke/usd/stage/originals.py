@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from pxr import Sdf, Usd, UsdVol
+from pxr import Sdf, Tf, Usd, UsdVol
 
 from usdsmoke.base.errors import StageError
 from usdsmoke.base.naming import ASSET_SOURCE, ORIGINAL, VARIANT_SET
@@ -185,8 +185,11 @@ def is_look_layer(layer: Sdf.Layer) -> bool:
 
 def _finds(root: Sdf.Layer, path: str) -> bool:
     """Whether a sublayer can be opened."""
-    with captured_diagnostics():
-        return Sdf.Layer.FindOrOpenRelativeToLayer(root, path) is not None
+    try:
+        with captured_diagnostics():
+            return Sdf.Layer.FindOrOpenRelativeToLayer(root, path) is not None
+    except Tf.ErrorException:
+        return False
 
 
 def _real_path(stage: Usd.Stage) -> Path:
