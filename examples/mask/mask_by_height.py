@@ -24,8 +24,6 @@ SETTINGS = {
     "optics.sun": [0.5, 1.0, 0.3],
     "optics.sky": [0.4, 0.4, 0.4],
     "optics.albedo": 0.5,
-    "colour.iterations": [10, 10, 10],
-    "shape.iterations": [5, 5, 5],
 }
 
 
@@ -114,10 +112,12 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("out/mask"))
     parser.add_argument("--begin", type=float, default=0.4, help="share of the height")
     parser.add_argument("--end", type=float, default=0.6, help="share of the height")
+    parser.add_argument("--frames", default="7", help="timeCodes to stylize, such as 1-12")
     options = parser.parse_args()
     mask_file = options.output / "mask.usda"
     author_masks(options.stage, mask_file, options.begin, options.end)
-    result = usdsmoke.stylize(mask_file, options.style, options.output / "look", SETTINGS)
+    settings = {**SETTINGS, "stage.frames": options.frames}
+    result = usdsmoke.stylize(mask_file, options.style, options.output / "look", settings)
     print(f"open {result.root_stage}")
 
 

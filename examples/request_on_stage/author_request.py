@@ -2,7 +2,8 @@
 
     python examples/request_on_stage/author_request.py
 
-The request is in a layer of its own over the stage. The strength fades in over the frames.
+The request is in a layer of its own over the stage. The strength fades in over the frames, from
+black.
 """
 
 import argparse
@@ -30,7 +31,7 @@ def author_request(stage_file: Path, style_file: Path, request_file: Path) -> No
             prim.GetAttribute("usdSmoke:request:iterations").Set(10)
             prim.GetAttribute("usdSmoke:request:imageSize").Set(48)
             strength = prim.GetAttribute("usdSmoke:request:strength")
-            strength.Set(0.0, source.GetStartTimeCode())
+            strength.Set(0.001, source.GetStartTimeCode())  # at 0 the grey source would show
             strength.Set(1.0, source.GetEndTimeCode())
     stage.Save()
 

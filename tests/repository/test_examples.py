@@ -203,12 +203,13 @@ def test_request_on_stage_fades_in(inputs: tuple[str | Path, ...], tmp_path: Pat
     field = UsdVol.OpenVDBAsset.Get(look, volume.GetFieldPath("density"))
     files = [field.GetFilePathAttr().Get(time_code).resolvedPath for time_code in (1, 3)]
     first, last = (read_grids(Path(file_path)) for file_path in files)
-    assert not whole(first["emission"]).any()  # strength 0
-    assert whole(last["emission"]).any()
+    assert 0 < whole(first["emission"]).max() < 0.01 * whole(last["emission"]).max()
 
 
 def test_mask_paints_only_the_top(inputs: tuple[str | Path, ...], tmp_path: Path) -> None:
-    run_in_process(EXAMPLES / "mask/mask_by_height.py", *inputs, "--output", tmp_path)
+    run_in_process(
+        EXAMPLES / "mask/mask_by_height.py", *inputs, "--output", tmp_path, "--frames", "3"
+    )
     look = Usd.Stage.Open(str(tmp_path / "look/mask_look.usda"))
     volume = UsdVol.Volume.Get(look, "/plume/smoke")
     field = UsdVol.OpenVDBAsset.Get(look, volume.GetFieldPath("density"))

@@ -75,20 +75,20 @@ def write_picture(request: PreviewRequest, drawn: Drawn, n_pictures: int) -> tup
     if n_pictures == 1:
         write_png(request.output, by_label[LOOK][0][1])
         return (request.output,)
-    rows: list[list[tuple[str, np.ndarray]]] = []
-    for start in range(0, len(by_label[LOOK]), _MOST_COLUMNS):
-        for label, shown in by_label.items():
-            name = f"{_named(request, label)}, " if len(by_label) > 1 else ""
-            rows.append(
-                [
-                    (f"{name}{_caption(request, shot)}", picture)
-                    for shot, picture in shown[start : start + _MOST_COLUMNS]
-                ]
-            )
-    if request.beside and n_pictures == len(by_label):  # one of each stage, in rows
-        all_alone = [row[0] for row in rows]
-        starts = range(0, n_pictures, _MOST_COLUMNS)
-        rows = [all_alone[start : start + _MOST_COLUMNS] for start in starts]
+    captioned = {
+        label: [
+            (f"{_named(request, label)}, {_caption(request, shot)}", picture)
+            if len(by_label) > 1
+            else (_caption(request, shot), picture)
+            for shot, picture in shown
+        ]
+        for label, shown in by_label.items()
+    }
+    lines = list(captioned.values())  # of one stage each
+    if request.beside and len(lines[0]) < len(lines):
+        lines = [list(line) for line in zip(*lines, strict=True)]  # of one frame or direction each
+    starts = range(0, len(lines[0]), _MOST_COLUMNS)
+    rows = [line[start : start + _MOST_COLUMNS] for start in starts for line in lines]
     what = f"{len(request.names)} stages" if request.beside else request.stage_name
     title = f"{what}, {request.camera or 'front view'}"
     if request.turntable:

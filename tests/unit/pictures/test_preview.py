@@ -56,13 +56,16 @@ def test_other_stages_are_drawn_beside_the_first(look: Path, tmp_path: Path) -> 
     assert depths == pytest.approx([0.5 * LENGTH, LENGTH, LENGTH], rel=1e-5)
 
 
-def test_a_sheet_has_a_column_or_a_row_for_each_stage(look: Path, tmp_path: Path) -> None:
-    sizes = []
-    for frames in ("2", "2-3"):
-        preview(look, tmp_path / "a.png", frames=frames, beside=[look] * 2, size=(300, 200))
-        sizes.append(pixels(tmp_path / "a.png").shape[:2])
-    (low, wide), (high, narrow) = sizes
-    assert wide > 3 * 300 > narrow > 2 * 300 and high > 3 * 200 > low > 200
+@pytest.mark.parametrize(
+    ("frames", "columns", "n_rows"), [("2", 3, 1), ("2-3", 3, 2), ("1-4", 4, 3)]
+)
+def test_a_sheet_has_a_column_or_a_row_for_each_stage(
+    look: Path, tmp_path: Path, frames: str, columns: int, n_rows: int
+) -> None:
+    """A column, where there are fewer frames than stages."""
+    preview(look, tmp_path / "a.png", frames=frames, beside=[look] * 2, size=(300, 200))
+    height, width = pixels(tmp_path / "a.png").shape[:2]
+    assert width // 300 == columns and height // 200 == n_rows
 
 
 # What is drawn

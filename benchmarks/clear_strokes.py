@@ -1,0 +1,58 @@
+"""One frame with default settings, with finer voxels, through a camera, and with both.
+
+    python -m benchmarks.clear_strokes STAGE STYLE [--frame 7] [--camera /cameras/front]
+        [--refine 2] [--out out/bench/clear] [--picture FILE]
+
+STAGE is the demo's plume by default settings of ``examples/plume/simulate.py``. Prints the CPU time
+of each, relative to the first, and draws the four looks side by side, from the front and from
+behind.
+"""
+
+import argparse
+import resource
+
+import usdsmoke
+
+__all__ = ["main"]
+
+SIDE = (300, 384)  # pixels of a picture
+
+
+def main() -> None:
+    """Runs the benchmark from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("stage", help="a stage with a Camera")
+    parser.add_argument("style", help="style image")
+    parser.add_argument("--frame", default="7", help="timeCode")
+    parser.add_argument("--camera", default="/cameras/front", help="its path")
+    parser.add_argument("--refine", type=int, default=2, help="subdivisions of a voxel")
+    parser.add_argument("--out", default="out/bench/clear", help="folder to write into")
+    parser.add_argument("--picture", help="also draw the four looks to this PNG")
+    arguments = parser.parse_args()
+    finer, camera = {"grids.refine": arguments.refine}, {"views.camera": arguments.camera}
+    looks = {"default": {}, "finer": finer, "camera": camera, "both": {**finer, **camera}}
+    roots, seconds = [], {}
+    for name, settings in looks.items():
+        before = _cpu_seconds()
+        result = usdsmoke.stylize(
+            arguments.stage,
+            style=arguments.style,
+            output=arguments.out,
+            settings={**settings, "layer.look": name, "stage.frames": arguments.frame},
+            force=True,
+        )
+        roots.append(result.root_stage)
+        seconds[name] = _cpu_seconds() - before
+        print(f"{name}: {seconds[name] / seconds['default']:.1f} times {seconds['default']:.0f} s")
+    if arguments.picture:
+        usdsmoke.preview(roots[0], arguments.picture, beside=roots[1:], turntable=2, size=SIDE)
+
+
+def _cpu_seconds() -> float:
+    """Of this process and of those that it has ended."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+if __name__ == "__main__":
+    main()
