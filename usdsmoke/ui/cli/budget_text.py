@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from usdsmoke.planning.plan import Omission
     from usdsmoke.runs.budget import ErrorBudget
 
-_HINT = "--verbose lists all errors and what was left out; docs/errors.md explains them"
+_HINT = "--verbose lists all error estimates and what was left out; see docs/errors.md"
 
 
 def budget_text(
