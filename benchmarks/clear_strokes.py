@@ -9,9 +9,9 @@ behind.
 """
 
 import argparse
-import resource
 
 import usdsmoke
+from usdsmoke.work_precision.engine import cpu_seconds
 
 __all__ = ["main"]
 
@@ -33,7 +33,7 @@ def main() -> None:
     looks = {"default": {}, "finer": finer, "camera": camera, "both": {**finer, **camera}}
     roots, seconds = [], {}
     for name, settings in looks.items():
-        before = _cpu_seconds()
+        before = cpu_seconds()
         result = usdsmoke.stylize(
             arguments.stage,
             style=arguments.style,
@@ -42,16 +42,10 @@ def main() -> None:
             force=True,
         )
         roots.append(result.root_stage)
-        seconds[name] = _cpu_seconds() - before
+        seconds[name] = cpu_seconds() - before
         print(f"{name}: {seconds[name] / seconds['default']:.1f} times {seconds['default']:.0f} s")
     if arguments.picture:
         usdsmoke.preview(roots[0], arguments.picture, beside=roots[1:], turntable=2, size=SIDE)
-
-
-def _cpu_seconds() -> float:
-    """Of this process and of those that it has ended."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
 
 
 if __name__ == "__main__":

@@ -69,6 +69,8 @@ class AssetNotResolved(StageError):
 class GridError(UsdSmokeError):
     """A VDB file or one of its grids cannot be used."""
 
+    lacks_memory = False  # True: with more memory it might be used
+
 
 class GridNotFound(GridError):
     """The file has no grid of that name and index; the message lists its grids."""
@@ -81,11 +83,11 @@ class UnsupportedGrid(GridError):
 class DamagedFile(GridError):
     """Not a VDB file, truncated, or so damaged that reading it fails, hangs or exhausts memory."""
 
-    lacks_memory = False  # True: memory ran out, and a large file may be intact
-
 
 class GridTooLarge(GridError):
     """The active bounding box does not fit the memory limit as a dense array."""
+
+    lacks_memory = True
 
 
 class BindingMissing(GridError):

@@ -67,19 +67,18 @@ def clip_to_smoke(field: DenseField, density: DenseField) -> DenseField:
     return dataclasses.replace(field, values=np.where(mask, field.values, background))
 
 
-def check_half(density: DenseField, time_code: float, brightest: float) -> None:
+def check_half(time_code: float, densest: float, brightest: float) -> None:
     """Refuse 16-bit floats that cannot hold what a frame will have.
 
     Args:
-        density: of the frame.
         time_code: of the frame.
+        densest: the largest density.
         brightest: the largest number of the emission; 0 without one.
 
     Raises:
         ConfigError: with the largest number and the one that can be held.
     """
-    largest = float(density.values.max(initial=0.0))
-    for name, bound in {"density": largest, "emission": brightest}.items():
+    for name, bound in {"density": densest, "emission": brightest}.items():
         if bound > LARGEST_HALF:
             raise ConfigError(
                 f"16-bit floats hold numbers up to {LARGEST_HALF:g}, but the {name} at timeCode "

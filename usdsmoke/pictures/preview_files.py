@@ -76,12 +76,7 @@ def write_picture(request: PreviewRequest, drawn: Drawn, n_pictures: int) -> tup
         write_png(request.output, by_label[LOOK][0][1])
         return (request.output,)
     captioned = {
-        label: [
-            (f"{_named(request, label)}, {_caption(request, shot)}", picture)
-            if len(by_label) > 1
-            else (_caption(request, shot), picture)
-            for shot, picture in shown
-        ]
+        label: [(_caption(request, label, shot), picture) for shot, picture in shown]
         for label, shown in by_label.items()
     }
     lines = list(captioned.values())  # of one stage each
@@ -96,11 +91,6 @@ def write_picture(request: PreviewRequest, drawn: Drawn, n_pictures: int) -> tup
         title = f"{what}, timeCode {code}, around the up axis"
     write_png(request.output, compose_sheet(title, rows))
     return (request.output,)
-
-
-def _named(request: PreviewRequest, label: str) -> str:
-    """A label as it is shown: where there are other stages, the first one has its name too."""
-    return request.names[0] if request.beside and label == LOOK else label
 
 
 def write_animation(
@@ -146,10 +136,14 @@ def _displayed(
     return found
 
 
-def _caption(request: PreviewRequest, shot: PreviewShot) -> str:
+def _caption(request: PreviewRequest, label: str, shot: PreviewShot) -> str:
+    """What a picture shows; where there are other stages, the first one has its name too."""
+    seen = f"timeCode {format_time_code(shot.time_code)}"
     if request.turntable:
-        return f"{shot.angle:g} degrees"
-    return f"timeCode {format_time_code(shot.time_code)}"
+        seen = f"{shot.angle:g} degrees"
+    if request.beside and label == LOOK:
+        label = request.names[0]
+    return f"{label}, {seen}" if request.beside or request.compare else seen
 
 
 def _unpremultiplied(rgba: np.ndarray) -> np.ndarray:

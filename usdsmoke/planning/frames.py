@@ -9,7 +9,6 @@ from usdsmoke.base.errors import GridNotFound
 from usdsmoke.base.time_codes import format_time_code
 from usdsmoke.base.volume import (
     FIELD_SEPARATORS,
-    GRID_SEPARATORS,
     FieldSource,
     FrameSource,
     VolumeSource,
@@ -19,7 +18,7 @@ from usdsmoke.config.run_sections import EVERYTHING
 from usdsmoke.config.settings import Config
 from usdsmoke.vdb.header import FileHeader, GridHeader
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
-from usdsmoke.vdb.velocity import find_velocity
+from usdsmoke.vdb.velocity import find_velocity, without_axis
 
 
 @dataclass(frozen=True)
@@ -99,24 +98,18 @@ def _shown_velocity(sources: Sequence[FieldSource], header: FileHeader) -> Veloc
     missing, may also be the first of three in the file.
     """
     first, n_named = sources[0], sum(bool(source.grid_name) for source in sources)
-    base = _without_axis(first.grid_name, GRID_SEPARATORS)
+    base = without_axis(first.grid_name)
     if n_named == 3:
         with suppress(GridNotFound):
             wanted = [(one.grid_name, one.grid_index, field_place(one)) for one in sources]
             parts = tuple(find_grid(header, GridRequest(*request)) for request in wanted)
             if base == first.grid_name:  # u, v and w: the relationships tell what they are
-                base = _without_axis(first.relationship, FIELD_SEPARATORS)
+                base = without_axis(first.relationship, FIELD_SEPARATORS)
             return VelocitySource(first, base, parts)
     grids = find_velocity(header, base) if base else ()
     if len(grids) == 1:
         grids = (find_grid(header, GridRequest(base, first.grid_index, field_place(first))),)
     return VelocitySource(first, base, grids) if grids else None
-
-
-def _without_axis(name: str, separators: Sequence[str]) -> str:
-    """What the names of three components have in common, by that of x."""
-    ending = next((f"{one}x" for one in separators if name.endswith(f"{one}x")), "")
-    return name.removesuffix(ending)
 
 
 def find_frame_mask(

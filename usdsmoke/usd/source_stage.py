@@ -16,8 +16,7 @@ from usdsmoke.base.errors import AssetNotResolved, ConfigError, LayerError
 from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.base.publish import publish_file
 from usdsmoke.usd.field_tokens import GRID_CLASSES, data_type, field_class
-from usdsmoke.usd.values import FRAME_PATTERN, Box, extent_value, held_extents
-from usdsmoke.vdb.boxes import union_extent
+from usdsmoke.usd.values import FRAME_PATTERN, Box, extent_value, held_extents, union_of
 from usdsmoke.vdb.header import FileHeader, GridHeader, read_header
 
 
@@ -200,8 +199,7 @@ def _author_extent(volume: UsdVol.Volume, headers: dict[int | None, FileHeader])
     """The box of each file's grids, from the headers; a file that does not say it has none."""
     attribute, boxes = volume.CreateExtentAttr(), dict[float, Box | None]()
     for code, header in headers.items():
-        known = [grid.extent for grid in header.grids if grid.extent is not None]
-        box = union_extent(known) if known else None
+        box = union_of(grid.extent for grid in header.grids)
         if code is not None:
             boxes[code] = box
         elif box is not None:

@@ -3,7 +3,7 @@
 import os
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -46,6 +46,12 @@ def extent_value(low: np.ndarray, high: np.ndarray) -> Vt.Vec3fArray:
     return Vt.Vec3fArray([Gf.Vec3f(least.tolist()), Gf.Vec3f(most.tolist())])
 
 
+def union_of(boxes: Iterable[Box | None]) -> Box | None:
+    """The box around those that are known; None where none is."""
+    known = [box for box in boxes if box is not None]
+    return union_extent(known) if known else None
+
+
 def held_extents(boxes: Mapping[float, Box | None]) -> dict[float, Vt.Vec3fArray]:
     """Time samples of an ``extent``, of files that are held from one timeCode to the next.
 
@@ -55,13 +61,11 @@ def held_extents(boxes: Mapping[float, Box | None]) -> dict[float, Vt.Vec3fArray
     Args:
         boxes: by timeCode, smallest and largest corner; None where nothing is known.
     """
-    whole = [box for box in boxes.values() if box is not None]
+    whole, before = union_of(boxes.values()), None
     extents: dict[float, Vt.Vec3fArray] = {}
-    before: Box | None = None
     for code in sorted(boxes):
-        known = [box for box in (before, boxes[code]) if box is not None] or whole
-        if known:
-            extents[code] = extent_value(*union_extent(known))
+        if box := union_of((before, boxes[code])) or whole:
+            extents[code] = extent_value(*box)
         before = boxes[code]
     return extents
 

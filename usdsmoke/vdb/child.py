@@ -286,6 +286,8 @@ def _sweep(folder: str) -> None:
 
 def _answer(folder: str) -> dict[str, Any]:
     answer: dict[str, Any] = json.loads((Path(folder) / "answer.json").read_text(encoding="utf-8"))
+    if "not_handed_over" in answer:
+        raise OSError(answer["not_handed_over"])  # as if it had happened here
     if "failure" in answer:
         failure = ChildFailure(answer["failure"])
         failure.lacks_memory = answer.get("lacks_memory", False)

@@ -111,7 +111,7 @@ def join_components(parts: Sequence[DenseField], where: str) -> DenseField:
     values = np.stack([values_in_box(part, ijk_min, shape) for part in parts], axis=-1)
     return dataclasses.replace(
         first,
-        name=_common_name(first.name),
+        name=without_axis(first.name),
         values=values,
         ijk_min=ijk_min,
         background=(background[0], background[1], background[2]),
@@ -120,10 +120,10 @@ def join_components(parts: Sequence[DenseField], where: str) -> DenseField:
     )
 
 
-def _common_name(name: str) -> str:
-    """vel for vel.x; other names of an x component stay."""
-    is_usual = any(name.endswith(f"{separator}x") for separator in GRID_SEPARATORS)
-    return name[:-2] if is_usual else name
+def without_axis(name: str, separators: Sequence[str] = GRID_SEPARATORS) -> str:
+    """What the names of three components have in common, by that of x: vel for vel.x."""
+    ending = next((f"{one}x" for one in separators if name.endswith(f"{one}x")), "")
+    return name.removesuffix(ending)
 
 
 def scale_field(field: DenseField, factor: float) -> DenseField:

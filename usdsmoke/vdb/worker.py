@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.base.errors import UsdSmokeError, WriteFailed
+from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.vdb.binding import binding_version, find_binding
 from usdsmoke.vdb.boxes import check_dense_size
@@ -52,6 +52,10 @@ def main() -> int:
     return 0
 
 
+class _NotHandedOver(Exception):
+    """The folder for temporary files is full, or may not be written to."""
+
+
 def answer_request(folder: Path, grown: int = 0) -> bool:
     """Answer the request in a folder; True if it was fulfilled.
 
@@ -68,6 +72,8 @@ def answer_request(folder: Path, grown: int = 0) -> bool:
         answer = {"answer": content, "n_arrays": n_arrays}
     except UsdSmokeError as error:
         answer = {"error": type(error).__name__, "message": str(error)}
+    except _NotHandedOver as error:
+        answer = {"not_handed_over": str(error)}
     except MemoryError:
         limit = request["memory_limit_bytes"] / 2**30
         failure = f"it needs more than {limit:g} GiB of memory"
@@ -137,10 +143,7 @@ def _hand_over(values: np.ndarray, file_path: Path) -> None:
     try:
         np.save(file_path, values, allow_pickle=False)
     except OSError as error:  # not of the file that is read
-        raise WriteFailed(
-            f"cannot hand grids over in {file_path.parent.parent}: {error.strerror or error}. Free "
-            "some space there or set TMPDIR to another folder."
-        ) from error
+        raise _NotHandedOver(error.strerror or str(error)) from error
 
 
 def _largest_beside(grid: Any, ijk_min: Sequence[int], shape: Sequence[int]) -> float:

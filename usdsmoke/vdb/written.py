@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 
-from usdsmoke.base.errors import BindingMissing, GridError, GridTooLarge, StageError
+from usdsmoke.base.errors import BindingMissing, GridError, StageError
 from usdsmoke.base.machine import GIB, available_memory_gib
 from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.vdb.content_hash import CONTENT_KEY, hash_vdb_file
@@ -49,12 +49,12 @@ def compare_written(file_path: str | os.PathLike[str], recorded: str) -> Written
         promised = str(read_header(path).metadata.get(CONTENT_KEY, ""))
         if promised != recorded:
             return Written(State.OTHER if promised else State.FOREIGN, promised)
-        state = os.stat(path)
-        found = _hash_once(path, state.st_mtime_ns, state.st_size)
+        status = os.stat(path)
+        found = _hash_once(path, status.st_mtime_ns, status.st_size)
     except BindingMissing as error:
         return Written(State.UNCHECKED, str(error))
     except (GridError, StageError, ArithmeticError, OSError) as error:
-        if isinstance(error, GridTooLarge) or getattr(error, "lacks_memory", False):
+        if isinstance(error, GridError) and error.lacks_memory:
             return Written(State.UNCHECKED, "its grids need more memory than is free here")
         return Written(State.UNREADABLE, str(error))
     return Written(State.INTACT if found == recorded else State.CHANGED, found)

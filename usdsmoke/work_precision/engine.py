@@ -59,7 +59,7 @@ class Budget:
         return self.seconds - self.spent
 
 
-def _cpu_seconds() -> float:
+def cpu_seconds() -> float:
     """CPU time of this process and of the children that have ended."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
@@ -70,7 +70,7 @@ class Clock:
     """Where times come from."""
 
     wall: Callable[[], float] = time.perf_counter
-    cpu: Callable[[], float] = _cpu_seconds
+    cpu: Callable[[], float] = cpu_seconds
     settle: Callable[[], None] = lambda: None  # waits for work that a GPU has in its queue
 
 

@@ -162,7 +162,7 @@ def check_storable(density: DenseField, time_code: float, gamma_w: float, config
     """
     if config.grids.half:
         densest = float(density.values.max(initial=0.0))
-        check_half(density, time_code, brightest_emission(densest, gamma_w, config))
+        check_half(time_code, densest, brightest_emission(densest, gamma_w, config))
 
 
 def brightest_emission(densest: float, gamma_w: float, config: Config) -> float:

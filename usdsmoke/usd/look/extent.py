@@ -1,7 +1,5 @@
 """The Volume's extent over time: without one nothing frames or culls the smoke rightly."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
@@ -9,8 +7,8 @@ from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.base.volume import WrittenFrame
 from usdsmoke.usd.field_samples import FieldSamples
 from usdsmoke.usd.look.records import StylizedVolume
-from usdsmoke.usd.values import Box, ancestors, extent_value, held_extents, value_at
-from usdsmoke.vdb.boxes import corners_extent, union_extent
+from usdsmoke.usd.values import Box, ancestors, extent_value, held_extents, union_of, value_at
+from usdsmoke.vdb.boxes import corners_extent
 from usdsmoke.vdb.header import read_header
 from usdsmoke.vdb.read import GridRequest, find_grid
 
@@ -26,7 +24,7 @@ def author_extent(
     See ``held_extents``. A Volume that is empty at every timeCode gets no extent.
     """
     boxes = volume_boxes(volume_prim, density, volume)
-    all_boxes = _union(list(boxes.values()))
+    all_boxes = union_of(list(boxes.values()))
     if all_boxes is None:
         return
     attribute = Sdf.AttributeSpec(volume_spec, "extent", Sdf.ValueTypeNames.Float3Array)
@@ -61,14 +59,14 @@ def volume_boxes(
         if frame is not None:
             ours = _frame_box(frame, _density_to_volume(density, volume_prim, code))
             others = volume.source.other_fields or volume.source.copied
-            boxes[code] = _union([ours, theirs if others else None])
+            boxes[code] = union_of([ours, theirs if others else None])
         elif theirs is not None:
             boxes[code] = theirs
         elif (source := _header_box(density, volume_prim, code)) is not None:
             boxes[code] = source
         else:
             unknown.append(code)
-    stylized = _union(list(boxes.values()))
+    stylized = union_of(list(boxes.values()))
     boxes.update(dict.fromkeys(unknown, stylized))
     return boxes
 
@@ -129,8 +127,3 @@ def _source_box(extent: Usd.Attribute, time_code: float) -> Box | None:
     corners = np.array(value, dtype=np.float64)
     usable = np.isfinite(corners).all() and (corners[0] <= corners[1]).all()
     return (corners[0], corners[1]) if usable else None
-
-
-def _union(boxes: Sequence[Box | None]) -> Box | None:
-    known = [box for box in boxes if box is not None]
-    return union_extent(known) if known else None

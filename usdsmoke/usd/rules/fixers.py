@@ -17,7 +17,7 @@ from usdsmoke.base.naming import relative_asset_path
 from usdsmoke.usd.field_samples import FieldSamples, field_targets, usd_time
 from usdsmoke.usd.field_tokens import DATA_TYPES
 from usdsmoke.usd.rules.facts import FieldFacts, collect_fields, field_to_stage, sample_grid
-from usdsmoke.usd.values import Box, extent_value, held_extents, value_at
+from usdsmoke.usd.values import Box, extent_value, held_extents, union_of, value_at
 from usdsmoke.vdb.boxes import corners_extent, union_extent
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def _box_at(volume: Usd.Prim, fields: Sequence[FieldFacts], code: float | None) 
         if grid is not None and grid.extent is not None:
             to_volume = field_to_stage(field.prim, code) @ np.linalg.inv(place)
             boxes.append(corners_extent(*grid.extent, to_volume))
-    return union_extent(boxes) if boxes else None
+    return union_of(boxes)
 
 
 def author_data_type(field: Usd.Prim, _layer: Sdf.Layer) -> bool:

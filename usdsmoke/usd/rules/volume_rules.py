@@ -44,8 +44,8 @@ def check_extent(volume: Usd.Prim, interval: Gf.Interval) -> list[Problem]:
     if volume.GetAttribute("extent").HasAuthoredValue():
         return []
     shown = [sample for field in collect_fields(volume, interval) for sample in field.samples]
-    grids = [sample_grid(sample) for sample in shown]
-    if grids and all(grid is not None and grid.active_voxels == 0 for grid in grids):
+    grids = map(sample_grid, shown)  # their headers are read up to the first that is not empty
+    if shown and all(grid is not None and grid.active_voxels == 0 for grid in grids):
         return []
     message = "no extent is authored, so the Volume has empty bounds. Author the box of its fields."
     return [Problem(Severity.WARN, str(volume.GetPath()), message)]

@@ -71,7 +71,7 @@ def _open_original(stage: StageOrFile) -> Usd.Stage:
             "Use the root layer that was written beside it, NAME_look.usda."
         )
     if not _leave_looks_out(stage).layers:
-        if lost := [path for path in root.subLayerPaths if not _finds(root, path)]:
+        if lost := [path for path in root.subLayerPaths if _sublayer(root, path) is None]:
             raise StageError(
                 f"{root.identifier} has sublayers that are missing or cannot be read: "
                 f"{', '.join(lost)}. Restore them."
@@ -183,13 +183,13 @@ def is_look_layer(layer: Sdf.Layer) -> bool:
     return bool(record_values(layer))
 
 
-def _finds(root: Sdf.Layer, path: str) -> bool:
-    """Whether a sublayer can be opened."""
+def _sublayer(root: Sdf.Layer, path: str) -> Sdf.Layer | None:
+    """A sublayer; None where it is missing or cannot be read."""
     try:
         with captured_diagnostics():
-            return Sdf.Layer.FindOrOpenRelativeToLayer(root, path) is not None
+            return Sdf.Layer.FindOrOpenRelativeToLayer(root, path)
     except Tf.ErrorException:
-        return False
+        return None
 
 
 def _real_path(stage: Usd.Stage) -> Path:
@@ -203,8 +203,7 @@ def _stands_on(root: Sdf.Layer) -> str:
     """
     source = root.customLayerData.get(ASSET_SOURCE, "")
     if not source and len(root.subLayerPaths) == 2 and not root.rootPrims:
-        with captured_diagnostics():
-            first = Sdf.Layer.FindOrOpenRelativeToLayer(root, root.subLayerPaths[0])
+        first = _sublayer(root, root.subLayerPaths[0])
         if first is not None and is_look_layer(first):
             source = root.subLayerPaths[1]
     return Sdf.ComputeAssetPathRelativeToLayer(root, source) if source else ""
