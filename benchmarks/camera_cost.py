@@ -156,7 +156,7 @@ def run(
 
 
 def _measured(frame: VolumeFrame, config: Config) -> Scene:
-    scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+    scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.parts)
     size = find_style_size([painted_waves()], scene.voxels, config)
     return dataclasses.replace(scene, style_size=size)
 

@@ -111,7 +111,7 @@ def make_shot(
         config.views,
         config.optics,
         "Y",
-        config.grids.refine,
+        config.grids.parts,
     )
     return Shot(frames, paint_styles([style], style_size)[style], config, scene)
 

@@ -134,7 +134,7 @@ class Studio:
     ) -> Look:
         frame = fading_mask(self.frames[kind]) if masked else self.frames[kind]
         config = resolve_config([*self._settings[kind], *settings])
-        scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+        scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.parts)
         images = [self.styles[style]]
         scene = replace(scene, style_size=find_style_size(images, scene.voxels, config))
         with _guidance(guided):

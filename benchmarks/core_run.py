@@ -44,7 +44,7 @@ def _run_new(job: dict[str, Any]) -> dict[str, Any]:
     # the smoke as it is, as be60f8a sees it and the truth has it
     config = resolve_config(*job["settings"], "optimize.threads=1", "optics.thicken=1")
     begun = time.process_time()
-    scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+    scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.parts)
     context = make_context([job["style"]], scene, config, None, 24.0, None, 1)
     (done,) = run_frames([frame], context)
     result = stylized_frame(done, context)

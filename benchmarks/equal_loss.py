@@ -73,7 +73,7 @@ def _run_ours(
     """One whole run from the start: CPU seconds, density, emission."""
     config = _settings(step, frame, iterations)
     begin = time.process_time()
-    scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+    scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.parts)
     (result,) = stylize_window([frame], [style], scene, config)
     return time.process_time() - begin, result.density, result.emission
 
@@ -127,7 +127,7 @@ def compare(
     judge = Judge(
         frame,
         style,
-        measure_scene([frame], config.views, config.optics, "Y", config.grids.refine),
+        measure_scene([frame], config.views, config.optics, "Y", config.grids.parts),
         config,
         step,
     )

@@ -35,8 +35,11 @@ from benchmarks.style_scores import FRONT
 from usdsmoke.base.errors import UsdSmokeError
 from usdsmoke.base.volume import VolumeFrame
 from usdsmoke.config.look_sections import StyleConfig
+from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.schedule import ALL_ROUND, AROUND_CAMERA
 from usdsmoke.core.style.style_image import scale_style
+from usdsmoke.planning.estimate import FrameSize
+from usdsmoke.planning.visibility import affordable_refine
 
 __all__ = ["Cell", "keep_cell", "kept_cell", "main", "make_cell", "write_page"]
 
@@ -44,7 +47,7 @@ HEIGHT = 400  # pixels of a picture in the gallery
 WIDEST = 1280  # pixels of a row
 GAP = 6
 GREY = np.full(3, 0.12, np.float32)  # display-encoded, behind the smoke
-RESOLUTION = 80  # voxels across the box of the example plume, as in `make demo`
+RESOLUTION = 56  # voxels across the box of the example plume, as in `make demo`
 REAL_WIDTH = 111  # voxels across the real plume: all of them
 # degrees of azimuth by kind
 TURNS = {"3-D": (0.0, 90.0), "3-D front": (0.0,), "2-D": (0.0,), "real": (0.0, 90.0),
@@ -107,6 +110,17 @@ def _picture(look: Look, azimuth: float) -> np.ndarray:
         frame.density, frame.emission, np.eye(4), scene.gamma_w, scene.up_axis, azimuth, 0.0, HEIGHT
     )
     return composite(drawn[..., :3], drawn[..., 3], GREY)
+
+
+def _refine(frame: VolumeFrame) -> str:
+    """``grids.refine`` that a plan chooses for a frame."""
+    inside = np.argwhere(frame.density.values > 0)
+    box = tuple(int(n) for n in np.ptp(inside, axis=0) + 1)
+    config = Config()
+    parts = affordable_refine(
+        config, [FrameSize(len(inside), box, computed=True)], config.views.image_size
+    )
+    return f"grids.refine={parts}"
 
 
 def _is_front(kind: str) -> bool:
@@ -203,7 +217,10 @@ def main(arguments: list[str] | None = None) -> int:
             frames[f"{kind} front"] = frames[kind]
         styles = paint_styles(options.only)
         threads = [f"optimize.threads={options.threads}"]
-        settings = {kind: [*threads, *(FRONT if _is_front(kind) else [])] for kind in frames}
+        settings = {
+            kind: [*threads, *(FRONT if _is_front(kind) else []), _refine(frame)]
+            for kind, frame in frames.items()
+        }
         studio = Studio(frames, styles, settings)
         kinds = [kind for kind in TURNS if kind in frames]
         rows: dict[str, list[Cell]] = {}

@@ -176,7 +176,7 @@ def _config(longest: int) -> Config:
 
 def _measure(frames: Sequence[VolumeFrame], config: Config) -> Scene:
     chosen = [frames[0], frames[len(frames) // 2], frames[-1]]
-    return measure_scene(chosen, config.views, config.optics, "Y", config.grids.refine)
+    return measure_scene(chosen, config.views, config.optics, "Y", config.grids.parts)
 
 
 def _train(

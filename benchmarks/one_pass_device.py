@@ -156,7 +156,7 @@ def _plume(box: Sequence[int], seed: int = 0) -> VolumeFrame:
 
 
 def _scene(frame: VolumeFrame, config: Config) -> Scene:
-    return measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+    return measure_scene([frame], config.views, config.optics, "Y", config.grids.parts)
 
 
 def _measure(

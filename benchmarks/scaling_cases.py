@@ -156,7 +156,7 @@ def _run(case: Case, clock: _Clock, told: list[tuple[float, float, float]]) -> i
         told.append((clock.now(), clock.network, _peak_gib(clock)))
 
     tell(None)
-    scene = measure_scene(frames, config.views, config.optics, "Y", config.grids.refine)
+    scene = measure_scene(frames, config.views, config.optics, "Y", config.grids.parts)
     list(stylize_window(frames, [make_style()], scene, config, tell))
     tell(None)
     return int((field.values > 0).sum())

@@ -162,7 +162,7 @@ def _run(case: Case, config: Config, told: list[tuple[float, float, float]]) -> 
         stylize_window(
             frames,
             styles,
-            measure_scene(frames, config.views, config.optics, "Y", config.grids.refine),
+            measure_scene(frames, config.views, config.optics, "Y", config.grids.parts),
             config,
             tell,
         )

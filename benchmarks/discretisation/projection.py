@@ -35,7 +35,7 @@ def _plan(case: Case) -> Plan:
 
     second, n_rays = _second(case, view)
     apart = error(second)
-    configured = case.config.grids.refine
+    configured = case.config.grids.parts
     splats = [
         Task(
             _SPLAT,

@@ -71,7 +71,7 @@ def _plan(case: Case) -> Plan:
     def error(found: "Tensor") -> float:
         return _relative(found, exact)
 
-    finest = 1.0 / case.config.grids.refine
+    finest = 1.0 / case.config.grids.parts
     tasks = [
         Task(
             RULES[rule],

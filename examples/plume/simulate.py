@@ -1,6 +1,6 @@
 """Simulate a small plume and write it as VDB files and a stage that uses them.
 
-    python examples/plume/simulate.py OUT_FOLDER [--frames 12] [--resolution 80]
+    python examples/plume/simulate.py OUT_FOLDER [--frames 8] [--resolution 56]
 
 Leaves in OUT_FOLDER:
     plume.usda        Volume /plume/smoke, camera /cameras/front, timeCodes 1..frames
@@ -170,8 +170,8 @@ def main() -> None:
     """Read the command line, simulate, and print what was written."""
     parser = argparse.ArgumentParser(description="Simulate a small plume of smoke.")
     parser.add_argument("out_folder", type=Path)
-    parser.add_argument("--frames", type=int, default=12)
-    parser.add_argument("--resolution", type=int, default=80, help="voxels along the box's width")
+    parser.add_argument("--frames", type=int, default=8)
+    parser.add_argument("--resolution", type=int, default=56, help="voxels along the box's width")
     options = parser.parse_args()
     if options.frames < 1 or options.resolution < 8:
         parser.error("--frames must be at least 1 and --resolution at least 8")

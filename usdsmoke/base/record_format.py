@@ -127,6 +127,7 @@ class RunRecord(JsonRecord):
     shaders: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of the material's shaders
     extinction: Mapping[str, Extinction] = field(default_factory=dict)  # by Volume
     style_sizes: Mapping[str, float] = field(default_factory=dict)  # ``style.size``, by Volume
+    refinements: Mapping[str, int] = field(default_factory=dict)  # ``grids.refine``, by Volume
     # What was measured of each Volume's shot, where files that it was measured on have been written
     # again since; none: a rerun measures it.
     scenes: tuple[Mapping[str, Any], ...] = ()

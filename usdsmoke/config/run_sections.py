@@ -48,14 +48,20 @@ class GridsConfig(Section):
     repair_nan: float | None = setting(
         None, "value that replaces NaN and infinity; unset: they are an error",
         ge=-3.4e38, le=3.4e38)
-    refine: int = setting(
-        1, "number of parts into which each voxel is divided, per axis", ge=1, le=16)
+    refine: int | None = setting(
+        None, "number of parts into which each voxel is divided, per axis; unset: 1, or more where "
+        "voxels are coarser than the pictures and few enough", ge=1, le=16)
     prune: float = setting(0.0, "density at or below which a voxel becomes inactive", ge=0)
     memory_limit_gib: float = setting(
         8.0, "memory limit for reading a VDB file", gt=0, unit="GiB")
     time_limit_s: float = setting(
         120.0, "CPU time limit for reading a VDB file; the wall-clock limit is ten times as long",
         gt=0, unit="seconds")
+
+    @property
+    def parts(self) -> int:
+        """``refine``; 1 where it is open. A plan sets an open one for each Volume."""
+        return self.refine or 1
 
 
 class WindowsConfig(Section):

@@ -328,7 +328,7 @@ class Smoke:
                 self.config.views,
                 self.config.optics.replace(thicken=1.0),
                 self.whole.up_axis,
-                self.config.grids.refine,
+                self.config.grids.parts,
             )
         return self._scenes[prim_path]
 

@@ -44,7 +44,7 @@ def refine_for_less(
     if size == 1:
         return 0
     side, lights = side_of_marks(voxels, config), _used_lights(styles, config)
-    for refine in range(config.grids.refine + 1, most + 1):
+    for refine in range(config.grids.parts + 1, most + 1):
         finer = config.replace(grids=config.grids.replace(refine=refine))
         # on no more voxels, marks are no wider
         if side_of_marks(voxels, finer) > side and _find_size(lights, voxels, finer) < size:
@@ -61,7 +61,7 @@ def side_of_marks(voxels: float, config: Config) -> float:
     Args:
         voxels: of the source, along the longer side of the picture.
     """
-    voxels = voxels * config.grids.refine
+    voxels = voxels * config.grids.parts
     return voxels / max(1, round(voxels / ViewsConfig().image_size))
 
 

@@ -144,3 +144,15 @@ def _grids_beside(
             continue
         found.append(CopiedGrid(grid.name, field, grid, is_field=False))
     return found
+
+
+def unnamed_velocities(
+    volume: VolumeSource, velocities: Sequence[VelocitySource]
+) -> dict[str, str]:
+    """The velocities that are read but not copied, because no relationship leads to them."""
+    return {
+        velocity.grids[0].name: "for motion blur set layer.copy_velocity=true; the Volume has no "
+        "relationship to it"
+        for velocity in velocities
+        if velocity.field.relationship == volume.density
+    }

@@ -260,7 +260,7 @@ def _speed(config: Config, threads: int | None = None) -> float:
 
 def _refined(frame: FrameSize, config: Config) -> tuple[int, int]:
     """Active voxels and voxels of the box after subdivision, which leaves thin axes alone."""
-    finer: int = config.grids.refine ** sum(n > 1 for n in frame.box)
+    finer: int = config.grids.parts ** sum(n > 1 for n in frame.box)
     return frame.active_voxels * finer, math.prod(frame.box) * finer
 
 
@@ -276,7 +276,7 @@ def _moves_blocks(frame: FrameSize, config: Config) -> bool:
 
 def _voxels_a_pixel(frame: FrameSize, config: Config) -> int:
     """Along its side; without a camera."""
-    return max(1, round(max(frame.box) * config.grids.refine / config.views.image_size))
+    return max(1, round(max(frame.box) * config.grids.parts / config.views.image_size))
 
 
 def _joined(frame: FrameSize, config: Config) -> int:
@@ -284,7 +284,7 @@ def _joined(frame: FrameSize, config: Config) -> int:
 
     Views from all sides see the longest side of the smoke. Others may see it from its end.
     """
-    refine, views = config.grids.refine, config.views
+    refine, views = config.grids.parts, config.views
     *_, middle, longest = sorted(n * edge for n, edge in zip(frame.box, frame.edges, strict=True))
     is_seen = not views.camera and view_ranges(views)[0] > SIDEWAYS
     shortest, widest = min(frame.edges) / refine, max(frame.edges) / refine
@@ -297,7 +297,7 @@ def _joined(frame: FrameSize, config: Config) -> int:
 def _picture_pixels(frame: FrameSize, config: Config) -> float:
     """Pixels of a full-size picture: each is a whole number of voxels wide."""
     *_, middle, longest = sorted(frame.box)
-    side = longest * config.grids.refine / _voxels_a_pixel(frame, config)
+    side = longest * config.grids.parts / _voxels_a_pixel(frame, config)
     return side**2 * middle / max(longest, 1)
 
 

@@ -22,7 +22,7 @@ from usdsmoke.core.sequence.controls import (
     step_iterations,
     without_network,
 )
-from usdsmoke.planning.copied import CopiedGrid, find_copies
+from usdsmoke.planning.copied import CopiedGrid, find_copies, unnamed_velocities
 from usdsmoke.planning.estimate import (
     CostEstimate,
     FrameSize,
@@ -43,7 +43,7 @@ from usdsmoke.planning.materials import material_warnings
 from usdsmoke.planning.needs import list_needed, list_omitted
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.planning.remarks import list_remarks
-from usdsmoke.planning.visibility import unseen_warnings, visible_share
+from usdsmoke.planning.visibility import unseen_warnings, visible_share, with_refine
 from usdsmoke.planning.windows import coarse_runs, find_cuts, followed_codes, split_windows
 from usdsmoke.usd.inspect import grids_beside
 from usdsmoke.usd.volume_settings import VolumeSettings
@@ -295,30 +295,19 @@ def _plan_volume(
         frames.append(_plan_frame(volume, frame, place, config, headers))
     cuts = find_cuts(time_codes, frame_length)
     copies, reasons = find_copies(volume, [frame.copied for frame in frames], headers, config)
-    reasons |= _unnamed_velocities(volume, frames, config)
-    planned = VolumePlan(volume, stem, (), windows, config, own.styles, runs, cuts, reasons)
-    most = max(visible_voxels(frame.size, config) for frame in frames)
+    if config.layer.copy_velocity is None:
+        read = [frame.velocity for frame in frames if frame.copied is None and frame.velocity]
+        reasons |= unnamed_velocities(volume, read)
+    planned = with_refine(
+        VolumePlan(volume, stem, tuple(frames), windows, config, own.styles, runs, cuts, reasons)
+    )
+    most = max(visible_voxels(frame.size, planned.config) for frame in frames)
     frames = [replace(frame, size=replace(frame.size, most_voxels=most)) for frame in frames]
     frames = [
         _with_copies(frame, grids, planned.moves_fields)
         for frame, grids in zip(frames, copies, strict=True)
     ]
     return replace(planned, frames=tuple(frames), beside=_left_beside(volume, frames[0], headers))
-
-
-def _unnamed_velocities(
-    volume: VolumeSource, frames: Sequence[FramePlan], config: Config
-) -> dict[str, str]:
-    """The velocities that are read but not copied, because no relationship leads to them."""
-    if config.layer.copy_velocity is not None:
-        return {}
-    velocities = [frame.velocity for frame in frames if frame.copied is None]
-    return {
-        velocity.grids[0].name: "for motion blur set layer.copy_velocity=true; the Volume has no "
-        "relationship to it"
-        for velocity in velocities
-        if velocity is not None and velocity.field.relationship == volume.density
-    }
 
 
 def _left_beside(

@@ -266,7 +266,7 @@ def _shared_place(one: VolumePlan, other: VolumePlan) -> list[str]:
 
 def _longest(volume: VolumePlan) -> int:
     """Voxels along the longest side of all frames."""
-    return max(map(max, computed_boxes(volume)), default=0)
+    return max(map(max, computed_boxes(volume.sizes)), default=0)
 
 
 def _few_pixels(volume: VolumePlan) -> list[str]:
@@ -366,7 +366,7 @@ def _sheared_camera(volume: VolumePlan) -> list[str]:
 
 def _tiny_style(volume: VolumePlan) -> list[str]:
     """A style that settings reduce to a few pixels."""
-    style, refine = volume.config.style, volume.config.grids.refine
+    style, refine = volume.config.style, volume.config.grids.parts
     pixels = min(volume.config.views.image_size, _longest(volume) * refine)
     left = pixels * (style.size or 1.0) / style.tiling
     if left >= min(_FEWEST_PIXELS, pixels):

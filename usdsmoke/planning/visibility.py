@@ -1,7 +1,8 @@
 """What pictures show of a box, and what a shot's camera sees of it, from VDB headers alone."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,11 +13,14 @@ from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import CameraSource, FieldSource, FrameSource
 from usdsmoke.config.settings import Config
 from usdsmoke.core.views.frustum import frustum_of, pixel_footprint
-from usdsmoke.planning.estimate import estimate_run, training_seconds
-from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
+from usdsmoke.planning.estimate import FrameSize, estimate_run, training_seconds, visible_voxels
+from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan, named_frames
 from usdsmoke.vdb.header import GridHeader
 
-MOST_REFINED = 4  # of proposals: 64 times the voxels
+MOST_REFINED = 4  # 64 times the voxels
+# Visible voxels of the largest frame up to which smoke is refined by itself: with the default
+# settings it takes about as long as a simulation of a million voxels (decision 083)
+_MOST_VOXELS = 1_500_000
 _SAMPLES = 16  # points along each side of a box
 # Pixels of a picture for one voxel from which strokes look smeared: with 192 pixels, plumes of 109
 # and 111 voxels do (decision 076)
@@ -78,25 +82,27 @@ def voxel_size(volume: VolumePlan, frame: FramePlan) -> float:
 
 def detail_remarks(volume: VolumePlan) -> list[str]:
     """That a camera is too far away for strokes, or that finer voxels make them sharper."""
-    config, pixels = volume.config, float(volume.config.views.image_size)
-    filled = volume.filled
+    config = volume.config
     if config.views.camera:
-        across = _pixels_across(config, volume, filled)
+        across = _pixels_across(config, volume, volume.filled)
         if across < _FEWEST:
             return [
                 f"the smoke of <{volume.source.prim_path}> is at most {across:.2g} pixels wide in "
                 "the camera's picture: strokes do not show. Set a larger views.camera_width, move "
                 "the camera, or unset views.camera"
             ]
-        pixels = min(pixels, across)
-    boxes = computed_boxes(volume)
-    longest = max(map(max, boxes), default=0)
-    if config.grids.refine > 1 or not _FEWEST <= longest < pixels / _COARSE:
+    if not volume.opens_refine:
         return []
-    widest = max(math.hypot(*sorted(box)[-2:]) for box in boxes)  # of a picture of turned smoke
-    for parts in range(min(math.ceil(pixels / _COARSE / longest), MOST_REFINED), 1, -1):
-        if round(widest * parts / pixels) > 1:  # such voxels are joined, to the size of a pixel
-            continue
+    longest = max(map(max, computed_boxes(volume.sizes)), default=0)
+    if (parts := config.grids.parts) > 1:
+        once = replace(volume, config=config.with_values({"grids.refine": 1}))
+        times, _ = price_of_detail(once, parts)
+        return [
+            f"voxels of <{volume.source.prim_path}> are divided by {parts} for sharper strokes, as "
+            f"it has {longest} along its longest side. grids.refine=1 keeps them, in about "
+            f"1/{times:.2g} of the time"
+        ]
+    for parts in _sharper(volume.sizes, _picture_side(volume)):
         times, memory = price_of_detail(volume, parts)
         if memory <= (config.optimize.memory_limit_gib or available_memory_gib()):
             return [
@@ -107,9 +113,64 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
     return []
 
 
-def computed_boxes(volume: VolumePlan) -> list[tuple[int, int, int]]:
+def with_refine(volume: VolumePlan) -> VolumePlan:
+    """The Volume with an unset ``grids.refine`` chosen: the most that sharpens strokes and is
+    affordable.
+
+    It depends on settings and on the headers of the frames, of those alone that ``optics.frames``
+    names, and not on the machine.
+    """
+    if volume.config.grids.refine is not None:
+        return volume
+    measured = replace(volume, frames=tuple(named_frames(volume)) or volume.frames)
+    parts = affordable_refine(
+        volume.config, measured.sizes, _picture_side(measured), len(volume.styles)
+    )
+    config = volume.config.with_values({"grids.refine": parts})
+    return replace(volume, config=config, opens_refine=True)
+
+
+def affordable_refine(
+    config: Config, sizes: Sequence[FrameSize], pixels: float, n_styles: int = 1
+) -> int:
+    """What an unset ``grids.refine`` becomes for frames of these sizes.
+
+    Args:
+        pixels: of the longest side of the smoke in a picture.
+    """
+    for parts in _sharper(sizes, pixels):
+        finer = config.with_values({"grids.refine": parts})
+        if max(visible_voxels(size, finer) for size in sizes) > _MOST_VOXELS:
+            continue
+        limit = config.optimize.memory_limit_gib
+        if not limit or estimate_run(sizes, finer, n_styles).memory_gib <= limit:
+            return parts
+    return 1
+
+
+def _picture_side(volume: VolumePlan) -> float:
+    """Pixels of the longest side of the smoke in a picture, at most."""
+    pixels = float(volume.config.views.image_size)
+    if not volume.config.views.camera:
+        return pixels
+    return min(pixels, _pixels_across(volume.config, volume, volume.filled))
+
+
+def _sharper(sizes: Sequence[FrameSize], pixels: float) -> Iterator[int]:
+    """The values of ``grids.refine`` that give finer pictures, the greatest first."""
+    boxes = computed_boxes(sizes)
+    longest = max(map(max, boxes), default=0)
+    if not _FEWEST <= longest < pixels / _COARSE:
+        return
+    widest = max(math.hypot(*sorted(box)[-2:]) for box in boxes)  # of a picture of turned smoke
+    for parts in range(min(math.ceil(pixels / _COARSE / longest), MOST_REFINED), 1, -1):
+        if round(widest * parts / pixels) <= 1:  # else they are joined, to the size of a pixel
+            yield parts
+
+
+def computed_boxes(sizes: Sequence[FrameSize]) -> list[tuple[int, int, int]]:
     """The boxes of the frames that are optimised, in voxels of their files."""
-    return [size.box for size in volume.sizes if size.computed and size.visible]
+    return [size.box for size in sizes if size.computed and size.visible]
 
 
 def price_of_detail(volume: VolumePlan, parts: int) -> tuple[float, float]:
@@ -146,7 +207,7 @@ def pixel_sizes(
             continue
         finest = min(finest, _nearest_pixel(camera, points[1], config))
         voxel, longest_side = _lengths(points[0], frame.size.box)
-        voxels.append(voxel / config.grids.refine)
+        voxels.append(voxel / config.grids.parts)
         longest = max(longest, longest_side)
     if not voxels or not np.isfinite(finest):  # no point is seen: nothing is told of detail
         return 0.0, 0.0

@@ -54,7 +54,7 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
         frames = [reader.read(volume, frame) for frame in measured_frames(volume)]
         config = volume.config
         scene = measure_scene(
-            frames, config.views, config.optics, job.plan.source.up_axis, config.grids.refine
+            frames, config.views, config.optics, job.plan.source.up_axis, config.grids.parts
         )
         weighted, pictures, voxels = volume.with_all_weights, job.pictures(volume), scene.voxels
         size = find_style_size(pictures, voxels, weighted)

@@ -32,7 +32,8 @@ def machine_of(job: Job) -> "Machine":
 
 
 def with_settled(job: Job, run: Run) -> Job:
-    """The job with what was left open as its run was begun: the device, measured frames."""
+    """The job with what was left open as its run was begun: the device, measured frames, and how
+    often voxels are divided."""
     settled = _optimize(run)
     measured = run.description.get("settings", {}).get("optics", {}).get("frames", "")
 
@@ -46,7 +47,11 @@ def with_settled(job: Job, run: Run) -> Job:
         optics = config.optics.replace(frames=config.optics.frames or measured)
         return config.replace(optimize=optimize, optics=optics)
 
-    volumes = tuple(replace(volume, config=settle(volume.config)) for volume in job.plan.volumes)
+    scenes = run.scenes or job.scenes or [{}] * len(job.plan.volumes)
+    volumes = tuple(
+        replace(volume, config=settle(volume.config)).with_scene(scene)
+        for volume, scene in zip(job.plan.volumes, scenes, strict=True)
+    )
     plan = replace(job.plan, config=settle(job.plan.config), volumes=volumes)
     return replace(job, plan=plan)
 

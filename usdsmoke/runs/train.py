@@ -330,7 +330,7 @@ def _basis(job: Job, volume: VolumePlan, scene: Mapping[str, Any]) -> str:
     settings of pictures and losses."""
     config = volume.config
     settings = config.model_dump(include=set(_OF_LOSSES))
-    chosen = {"refine": config.grids.refine, "target": config.colour.target, **settings}
+    chosen = {"refine": config.grids.parts, "target": config.colour.target, **settings}
     styles = [job.styles[place].sha256 for place in volume.styles]
     return hash_values([__version__, styles, used_style_size(volume, scene), chosen])
 

@@ -134,7 +134,7 @@ def test_all_presets_see_marks_of_the_same_size():
     frame, found = frame_of(np.ones((150, 16, 16), np.float32)), []
     for name in ("draft", "daily", "final"):
         config = resolve_config(preset_file(name))
-        scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.refine)
+        scene = measure_scene([frame], config.views, config.optics, "Y", config.grids.parts)
         found.append((scene.image_size, find_style_size([stripes(1.8)], scene.voxels, config)))
     images, sizes = zip(*found, strict=True)
     assert len(set(images)) > 1 and len(set(sizes)) == 1 and sizes[0] > 1

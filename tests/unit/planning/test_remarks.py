@@ -1,6 +1,5 @@
 """What a plan remarks on, and what a run of a part of a shot says at its end."""
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -177,55 +176,6 @@ def test_a_velocity_without_a_relationship_is_not_copied_and_the_plan_says_so(
     assert copies("layer.copy_fields=[all]") == []
 
 
-@pytest.mark.parametrize(
-    ("box", "settings", "refine"),
-    [
-        ((70, 6, 6), (), 3),  # a dragon, smeared
-        ((23, 6, 6), (), 4),
-        ((109, 6, 6), (), 2),  # the example plume with 80 voxels across
-        ((88, 6, 6), (), 2),  # 176 of 192 pixels are enough
-        ((143, 6, 1), (), 2),
-        ((144, 6, 1), (), None),
-        ((222, 6, 6), (), None),  # cortex' smoke, good
-        ((4, 6, 6), (), None),
-        ((110, 120, 1), (), None),  # pictures of it, turned, have a pixel for two refined voxels
-        ((70, 6, 6), ("grids.refine=2",), None),
-        ((100, 6, 6), ("views.image_size=128",), None),
-        ((70, 6, 6), ("optimize.strength=0",), None),
-        ((70, 50, 50), ("optimize.memory_limit_gib=1.5",), None),  # 2.8 and 7.6 GiB with 2 and 3
-        ((70, 50, 50), ("optimize.memory_limit_gib=4",), 2),
-    ],
-)
-def test_a_coarse_grid_is_told_with_the_setting_for_sharper_strokes(
-    tmp_path: Path, box: tuple[int, int, int], settings: tuple[str, ...], refine: int | None
-) -> None:
-    notes = plan_of(shot_of(tmp_path, box), *settings).notes
-    assert [f"grids.refine={refine} " in note for note in notes] == [True] * (refine is not None)
-
-
-@pytest.mark.parametrize(
-    "settings", [(), ("optimize.start=network",), ("optimize.steps=[colour]",)]
-)
-def test_the_price_of_sharper_strokes_is_that_of_the_plan_with_them(
-    tmp_path: Path, settings: tuple[str, ...]
-) -> None:
-    shot = shot_of(tmp_path, (100, 40, 40))
-    usual, finer = (plan_of(shot, *settings, f"grids.refine={n}") for n in (1, 2))
-    (note,) = (note for note in usual.notes if "grids.refine=2" in note)
-    told = [float(found) for found in re.findall(r"([\d.]+) (?:times|GiB)", note)]
-    ratio = finer.estimate.seconds / usual.estimate.seconds
-    assert told == pytest.approx([ratio, finer.estimate.memory_gib], rel=0.05)
-    assert ratio > 1.5
-
-
-def shot_of(tmp_path: Path, box: tuple[int, int, int]) -> Shot:
-    """A shot of one frame, with smoke that fills a box of voxels."""
-    shot = make_shot(tmp_path, n_frames=1)
-    voxels = np.ones(box, np.float32)
-    write_raw(shot.stage.parent / "cache/smoke.0001.vdb", raw_grid(voxels))
-    return shot
-
-
 def test_pictures_of_few_pixels_are_remarked_on(tmp_path: Path) -> None:
     shot = make_shot(tmp_path, n_frames=1)
     large = raw_grid(np.ones((222, 6, 6), np.float32))
@@ -284,10 +234,10 @@ def test_at_the_end_an_enlarged_style_is_told_with_the_voxels_that_it_needs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def find(_styles: Any, _voxels: float, config: Config) -> float:
-        return sizes[config.grids.refine - 1]
+        return sizes[config.grids.parts - 1]
 
     def refine(_styles: Any, _voxels: float, config: Config, size: float, most: int) -> int:
-        finer = range(config.grids.refine + 1, most + 1)
+        finer = range(config.grids.parts + 1, most + 1)
         return next((parts for parts in finer if sizes[parts - 1] < size), 0)
 
     monkeypatch.setattr(coarse, "find_style_size", find)

@@ -307,7 +307,7 @@ def open_frame(frame: VolumeFrame, context: WindowContext) -> OpenedFrame:
         scene, targets = frame_scene(scene, config.optics.gamma), targets.weighted(config.style)
 
     # thicken the smoke, and find what is visible and not masked
-    density = raw = refine_field(frame.density, shared.grids.refine)
+    density = raw = refine_field(frame.density, shared.grids.parts)
     if (curve := scene.thickening) is not None:
         density = curve.of_field(raw)
     source = smoke = activate(density, frame.density_to_stage, context.device)

@@ -61,6 +61,7 @@ class Scene:
     network: str = ""  # SHA-256 of the network's file that the run has trained; "": none
     thicken: float = 1.0  # times that the thinnest smoke becomes as dense
     knee: float = 0.0  # density, of the curve of thickening; 0: density stays as it is
+    refine: int = 1  # subdivisions of the source's voxels along an axis
     style_size: float = 1.0  # size of the style, if ``style.size`` is unset
     style_refine: int = 0  # ``grids.refine`` with which that would be less; 0: none is known
     # Visible voxels of the largest frame, refined: they decide what the shape step moves, in all
@@ -298,7 +299,7 @@ def measure_scene(
         thick=thick, thick_share=share, widened=longest / near if fine < pixel_size else 1.0,
         hidden=weighted_median([one.hidden_mass(curve, thick) for one in seen], seen),
         stops=stops, thicken=curve.times if curve else 1.0, knee=curve.knee if curve else 0.0,
-        most_voxels=max(_n_refined(part, refine) for part, _, _ in parts),
+        most_voxels=max(_n_refined(part, refine) for part, _, _ in parts), refine=refine,
     )  # fmt: skip
 
 

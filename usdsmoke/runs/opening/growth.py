@@ -221,7 +221,7 @@ def find_growth(job: Job) -> Growth | None:
         folder = Path(job.plan.source.file_path).parent
         files = job.plan.source.grid_files
         rewritten = frozenset(f for f in files if os.path.relpath(f, folder) in changes.files)
-        growth = Growth(_measured_on(job, measured), run, before.plan, rewritten)
+        growth = Growth(_measured_as(job, run, measured), run, before.plan, rewritten)
         if rewritten and growth.is_all_new:
             return None
         if run.description.get("scenes") or not growth.is_measured:
@@ -369,11 +369,14 @@ def _has_start(task: WindowTask, code: float) -> bool:
     return any(code in chain for chain in task.volume.coarse_runs)
 
 
-def _measured_on(job: Job, codes: str) -> Job:
+def _measured_as(job: Job, earlier: Run, codes: str) -> Job:
     def settle(config: Config) -> Config:
         return config.replace(optics=config.optics.replace(frames=codes))
 
-    volumes = tuple(replace(volume, config=settle(volume.config)) for volume in job.plan.volumes)
+    volumes = tuple(
+        replace(volume, config=settle(volume.config)).with_scene(scene)
+        for volume, scene in zip(job.plan.volumes, earlier.scenes, strict=True)
+    )
     plan = replace(job.plan, config=settle(job.plan.config), volumes=volumes)
     return replace(job, plan=plan)
 

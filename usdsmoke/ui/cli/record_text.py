@@ -56,6 +56,7 @@ def provenance_text(item: "FoundRecord") -> str:
             for path, found in record.extinction.items()
         ),
         *(("style size", f"{path}: {size:.9g}") for path, size in record.style_sizes.items()),
+        *(("parts of voxels", f"{path}: {n}") for path, n in record.refinements.items() if n > 1),
         *(("left out", text) for text in record.omitted),
     ]
     return "\n".join(columns(_once([(name, text) for name, text in rows if text])))

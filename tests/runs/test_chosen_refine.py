@@ -1,0 +1,68 @@
+"""Parts of voxels that a run has chosen: what goes on with its result divides voxels alike."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.fixtures.grids_fixtures import raw_grid, write_raw
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot, contents, make_shot, run
+from usdsmoke import rerun, verify
+from usdsmoke.audit.record import find_records
+from usdsmoke.pipeline import Request, assemble, run_window
+
+WINDOWS = ("windows.size=2", "windows.overlap=0", "windows.shared_octaves=0")
+SMALL, LARGE = 70, 109  # voxels of which a plan makes 3 and 2 parts
+
+
+def write_smoke(shot: Shot, code: int, n_voxels: int) -> None:
+    values = np.full((n_voxels, 6, 6), 0.5 + code / 8, np.float32)
+    write_raw(shot.stage.parent / f"cache/smoke.{code:04d}.vdb", raw_grid(values))
+
+
+@pytest.fixture
+def growing_shot(tmp_path: Path) -> Shot:
+    """Smoke that is small in the first two frames."""
+    shot = make_shot(tmp_path / "shot", n_frames=4)
+    for code in range(1, 5):
+        write_smoke(shot, code, SMALL if code < 3 else LARGE)
+    return shot
+
+
+def test_a_look_that_grows_keeps_its_voxels(growing_shot: Shot, core: FakeCore) -> None:
+    run(growing_shot, *WINDOWS, "stage.frames=1-2")
+    grown = run(growing_shot, *WINDOWS)
+    assert core.stylized == [1, 2, 3, 4] and core.parts == [3, 3, 3, 3]
+    assert verify(grown.look_layer) == []
+    again = rerun(grown.look_layer, growing_shot.folder / "again")
+    assert again.differences == () and core.parts[4:] == [3, 3, 3, 3]
+    (found,) = find_records(grown.look_layer)
+    assert set(found.record.refinements.values()) == {3}
+    other = dataclasses.replace(growing_shot, output=growing_shot.folder / "at_once")
+    at_once = run(other, *WINDOWS, "optics.frames=1-2")
+    assert contents(at_once.root_stage) == contents(grown.root_stage)
+
+
+def test_windows_of_a_farm_make_a_look_grow_with_its_voxels(
+    growing_shot: Shot, core: FakeCore
+) -> None:
+    run(growing_shot, *WINDOWS, "stage.frames=1-2")
+    request = Request(growing_shot.stage, growing_shot.style, growing_shot.output, WINDOWS)
+    for window in (1, 0):
+        run_window(request, window)
+    assert verify(assemble(growing_shot.output).look_layer) == []
+    assert core.parts == [3, 3, 3, 3]
+
+
+def test_larger_smoke_in_a_rewritten_file_keeps_the_voxels(
+    growing_shot: Shot, core: FakeCore
+) -> None:
+    write_smoke(growing_shot, 3, SMALL), write_smoke(growing_shot, 4, SMALL)
+    run(growing_shot, *WINDOWS)
+    write_smoke(growing_shot, 4, LARGE)
+    core.parts.clear()
+    result = run(growing_shot, *WINDOWS)
+    assert core.parts == [3, 3]  # of the window with the file
+    again = rerun(result.look_layer, growing_shot.folder / "again")
+    assert again.differences == () and core.parts[2:] == [3, 3, 3, 3]

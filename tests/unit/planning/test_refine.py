@@ -1,0 +1,99 @@
+"""Into how many parts a plan divides voxels: ``grids.refine``, where it is unset."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.fixtures.grids_fixtures import raw_grid, write_raw
+from tests.fixtures.pipeline_fixtures import Shot, make_shot
+from usdsmoke.pipeline import Request, plan_request
+from usdsmoke.planning.plan import Plan
+
+Box = tuple[int, int, int]
+
+
+def plan_of(shot: Shot, *settings: str) -> Plan:
+    return plan_request(Request(shot.stage, shot.style, shot.output, list(settings)))
+
+
+def shot_of(tmp_path: Path, *boxes: Box) -> Shot:
+    """A shot with a frame for each box of voxels, which smoke fills."""
+    shot = make_shot(tmp_path, n_frames=len(boxes))
+    for code, box in enumerate(boxes, 1):
+        smoke = raw_grid(np.ones(box, np.float32))
+        write_raw(shot.stage.parent / f"cache/smoke.{code:04d}.vdb", smoke)
+    return shot
+
+
+def parts_of(plan: Plan) -> int:
+    (volume,) = plan.volumes
+    return volume.config.grids.parts
+
+
+@pytest.mark.parametrize(
+    ("box", "settings", "parts"),
+    [
+        ((70, 6, 6), (), 3),
+        ((23, 6, 6), (), 4),
+        ((109, 6, 6), (), 2),  # the example plume with 80 voxels across
+        ((88, 6, 6), (), 2),  # 176 of 192 pixels are enough
+        ((143, 6, 1), (), 2),
+        ((144, 6, 1), (), 1),
+        ((222, 6, 6), (), 1),
+        ((4, 6, 6), (), 1),
+        ((110, 120, 1), (), 1),  # pictures of it, turned, have a pixel for two refined voxels
+        ((70, 6, 6), ("grids.refine=1",), 1),
+        ((70, 6, 6), ("grids.refine=5",), 5),
+        ((100, 6, 6), ("views.image_size=128",), 1),
+        ((70, 6, 6), ("optimize.strength=0",), 1),
+        ((70, 50, 50), (), 2),  # 4.7 million voxels with 3
+        ((70, 50, 60), (), 1),  # 1.7 million voxels with 2
+        ((70, 50, 50), ("optimize.memory_limit_gib=4",), 2),
+        ((70, 50, 50), ("optimize.memory_limit_gib=1.5",), 1),  # 2.8 GiB with 2
+    ],
+)
+def test_voxels_are_divided_where_they_are_coarser_than_pictures_and_few(
+    tmp_path: Path, box: Box, settings: tuple[str, ...], parts: int
+) -> None:
+    assert parts_of(plan_of(shot_of(tmp_path, box), *settings)) == parts
+
+
+@pytest.mark.parametrize("boxes", [((70, 6, 6), (109, 6, 6)), ((109, 6, 6), (20, 6, 6))])
+def test_all_frames_have_the_parts_of_the_largest_one(
+    tmp_path: Path, boxes: tuple[Box, ...]
+) -> None:
+    shot = shot_of(tmp_path, *boxes)
+    assert parts_of(plan_of(shot)) == 2
+
+
+def test_frames_that_are_measured_decide_for_all(tmp_path: Path) -> None:
+    shot = shot_of(tmp_path, (70, 6, 6), (109, 6, 6))
+    assert parts_of(plan_of(shot, "optics.frames=1")) == 3
+    assert parts_of(plan_of(shot, "stage.frames=1")) == 3
+
+
+@pytest.mark.parametrize(
+    "settings", [(), ("optimize.start=network",), ("optimize.steps=[colour]",)]
+)
+def test_the_plan_tells_what_dividing_costs(tmp_path: Path, settings: tuple[str, ...]) -> None:
+    shot = shot_of(tmp_path, (100, 40, 40))
+    own, unset = (plan_of(shot, *settings, *more) for more in (("grids.refine=1",), ()))
+    (note,) = (note for note in unset.notes if "grids.refine=1" in note)
+    (told,) = (float(found) for found in re.findall(r"1/([\d.]+) of", note))
+    ratio = unset.estimate.seconds / own.estimate.seconds
+    assert told == pytest.approx(ratio, rel=0.05)
+    assert ratio > 1.5
+    assert not any("grids.refine" in note for note in own.notes)
+
+
+def test_what_is_dear_is_proposed_with_its_price(tmp_path: Path) -> None:
+    shot, more = shot_of(tmp_path, (70, 50, 60)), "optimize.memory_limit_gib=100"
+    plan, finer = (plan_of(shot, more, *given) for given in ((), ("grids.refine=2",)))
+    (note,) = (note for note in plan.notes if "grids.refine=3" in note)
+    told = [float(found) for found in re.findall(r"([\d.]+) (?:times|GiB)", note)]
+    finest = plan_of(shot, more, "grids.refine=3").estimate
+    assert told == pytest.approx([finest.seconds / plan.estimate.seconds, finest.memory_gib], 0.05)
+    assert not any("grids.refine" in note for note in finer.notes)
+    assert not any("grids.refine" in n for n in plan_of(shot, more, "grids.refine=1").notes)
