@@ -104,7 +104,7 @@ def _draw(options: argparse.Namespace, case: Case, folder: Path) -> Row:
         source = author_in_centimetres(source, folder / "cm.usda")
     settings = [
         f"stage.frames={options.frame}", f"optimize.iterations={options.iterations}",
-        "optimize.error_budget=false", "layer.contact_sheet=0", *case.settings,
+        "optimize.error_budget=false", "layer.contact_sheet=0", "grids.refine=1", *case.settings,
     ]  # fmt: skip
     if case.gamma_w is not None:
         settings.append(f"optics.gamma={case.gamma_w * _voxel_edge(source, options.frame)}")

@@ -99,7 +99,7 @@ def measure(folder: Path, options: argparse.Namespace) -> _Result:
     Image.fromarray((style * 255).round().astype("uint8")).save(folder / "style.png")
     settings = [
         "optimize.threads=1", "optimize.error_budget=false", "optimize.device=cpu",
-        f"views.pool={POOL}",
+        f"views.pool={POOL}", "grids.refine=1",
     ]  # fmt: skip
     if options.iterations is not None:
         settings.append(f"optimize.iterations={options.iterations}")

@@ -76,6 +76,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--report", type=Path, help="Markdown file for the table")
     given = parser.parse_args(arguments)
     options = ["--preset", given.preset] if given.preset else []
+    options += ["--set", "grids.refine=1"]
     options += [word for setting in given.settings for word in ("--set", setting)]
     lines, digests = [], set()
     with tempfile.TemporaryDirectory() as folder:

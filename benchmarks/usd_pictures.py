@@ -112,6 +112,7 @@ def make_sequence(out_folder: Path) -> Path:
     words += ["--config", str(examples / "plume/config.yaml"), "--mode", MODES[0]]
     words += ["--frames", f"{FIRST}-{LAST}", "-o", str(result)]
     words += ["--set", "layer.material=none"]  # the programs' own materials are compared
+    words += ["--set", "grids.refine=1"]
     _python("-m", "usdsmoke", "stylize", str(stage_file), *words)
     return result
 

@@ -88,9 +88,9 @@ def _overlap(n: int) -> str:
 def _measure(
     stage: Path, n_frames: int, size: int, folder: Path, settings: Sequence[str]
 ) -> Cost:  # fmt: skip
-    chosen = [f"stage.frames=1-{n_frames}", f"windows.size={size}", *settings]
+    kept = ["grids.refine=1", f"stage.frames=1-{n_frames}", f"windows.size={size}"]
     target = folder / f"look_{stage.stem}_{size}"
-    _, cpu, peak = stylize_in_child(stage, folder / "style.png", target, chosen)
+    _, cpu, peak = stylize_in_child(stage, folder / "style.png", target, [*kept, *settings])
     return Cost(n_frames, size, cpu, peak)
 
 
