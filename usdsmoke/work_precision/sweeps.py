@@ -167,7 +167,7 @@ def _octaves(case: Case) -> Plan:
         label = f"pictures of {round(size / 2)} pixels"
         coarser = Setting(base, config, pixels=2)
         choices.insert(2, ("finest resolution", label, coarser, _COARSER))
-    label = f"pictures of {2 * size} pixels, grids.refine=2"
+    label = f"pictures of {2 * size} pixels, grids.refine={2 * config.grids.parts}"
     choices.append(("finest resolution", label, Setting(base, config, refine=2), _FINER))
     about = (
         "Pictures of half and double the size represent half and double views.image_size. All "

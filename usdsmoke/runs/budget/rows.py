@@ -61,7 +61,7 @@ QUADRATURE = ErrorRow(
         else volume.no_estimates
     ),
     without="no colour step: opacity needs no sum along the ray",
-    advice="set grids.refine=2: the step along the rays is a voxel",
+    advice="set a larger grids.refine than the record has: the step along the rays is a voxel",
     setting="grids.refine",
     most=0.25,
 )
@@ -72,7 +72,8 @@ RESOLUTION = ErrorRow(
     of_frame=lambda report: report.errors.resolution,
     why_absent=lambda volume: volume.no_estimates,
     without=_NO_FRAME,
-    advice="set grids.refine=2, or look at the result closely: strokes are as fine as the pixels",
+    advice="set a larger grids.refine than the record has, or look at the result closely: strokes "
+    "are as fine as the pixels",
     setting="grids.refine",
     most=0.5,
 )
@@ -93,7 +94,7 @@ TRANSPORT = ErrorRow(
     of_frame=lambda report: None if report.transport is None else report.transport.error,
     why_absent=lambda volume: volume.no_shape,
     without=_NO_SHAPE,
-    advice="set grids.refine=2, or a smaller shape.reach",
+    advice="set a larger grids.refine than the record has, or a smaller shape.reach",
     setting="shape.reach",
     most=0.25,
 )
