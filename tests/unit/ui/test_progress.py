@@ -172,3 +172,11 @@ def test_a_message_is_shown_as_it_is() -> None:
 )
 def test_durations_are_told_in_the_units_people_use(seconds: float, text: str) -> None:
     assert format_seconds(seconds) == text
+
+
+def test_a_log_gets_a_line_for_the_last_frame_of_a_step() -> None:
+    stream = io.StringIO()
+    with ConsoleProgress(Console(file=stream, force_terminal=False)) as progress:
+        for frame in range(4):
+            progress(RunProgress("write", 1.0 + frame, frame, 4, 1.0))
+    assert [line.split()[3] for line in stream.getvalue().splitlines()] == ["1/4", "4/4"]

@@ -1,4 +1,4 @@
-"""Progress on stderr: a bar on a terminal, a line every ten seconds in a log."""
+"""Progress on stderr: a bar on a terminal, lines in a log (every ten seconds, and at the end)."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -30,7 +30,7 @@ class ConsoleProgress:
         self._clock = clock
         self._began: tuple[float, float] | None = None  # time and share at the first iteration
         self._last_line = clock()
-        self._last_step = ""
+        self._last_told = ("", False)  # a step, and whether it was its last frame
         self._told: set[tuple[str, str]] = set()  # kinds of findings
         self._bars = Progress(
             TextColumn("{task.description}", markup=False),
@@ -68,9 +68,10 @@ class ConsoleProgress:
         if report.loss or report.step == "coarse":
             left = self._time_left(now, report.share)
         self._bars.update(self._task, description=where, completed=report.share, left=left)
-        is_due = report.step != self._last_step or now - self._last_line >= LINE_EVERY
+        told = (report.step, report.frame + 1 == report.n_frames)
+        is_due = told != self._last_told or now - self._last_line >= LINE_EVERY
         if not self._console.is_terminal and is_due:
-            self._last_line, self._last_step = now, report.step
+            self._last_line, self._last_told = now, told
             self.say(f"{report.share:4.0%} {where} {left}".rstrip())
 
     def say(self, message: str) -> None:
