@@ -43,7 +43,7 @@ from usdsmoke.planning.materials import material_warnings
 from usdsmoke.planning.needs import list_needed, list_omitted
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.planning.remarks import list_remarks
-from usdsmoke.planning.visibility import unseen_warnings, visible_share, with_refine
+from usdsmoke.planning.visibility import camera_tips, unseen_warnings, visible_share, with_refine
 from usdsmoke.planning.windows import coarse_runs, find_cuts, followed_codes, split_windows
 from usdsmoke.usd.inspect import grids_beside
 from usdsmoke.usd.volume_settings import VolumeSettings
@@ -97,7 +97,11 @@ def make_plan(
         needed=list_needed(config, volumes),
         omitted=list_omitted(source, config, volumes),
         estimate=replace(estimate, seconds=estimate.seconds + sum(training)),
-        notes=(*list_remarks(volumes), *filter(None, map(_pays, volumes, costs, training))),
+        notes=(
+            *list_remarks(volumes),
+            *camera_tips(volumes, source.cameras),
+            *filter(None, map(_pays, volumes, costs, training)),
+        ),
         warnings=(*unseen_warnings(volumes), *material_warnings(volumes)),
     )
 

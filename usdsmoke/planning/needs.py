@@ -17,7 +17,7 @@ from usdsmoke.planning.frames import is_split
 from usdsmoke.planning.materials import lights_needed, lights_omitted, materials_needed
 from usdsmoke.planning.networks import start_needed
 from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan
-from usdsmoke.planning.visibility import invisible_parts, without_camera
+from usdsmoke.planning.visibility import invisible_parts
 from usdsmoke.usd.schema import STYLE_API
 
 Volumes = Sequence[VolumePlan]
@@ -85,7 +85,7 @@ def list_omitted(source: StageSource, config: Config, volumes: Volumes) -> tuple
             *_omitted_steps(own),
             *_omitted_losses(own),
             *_omitted_strength(own, members),
-            *_omitted_views(own, members, source.cameras),
+            *_omitted_views(own, members),
             *_omitted_inputs(own, members),
         ]
         omitted += [replace(item, what=f"{item.what}{where}") for item in found]
@@ -292,15 +292,15 @@ def _omitted_strength(config: Config, volumes: Volumes) -> list[Omission]:
     return omitted
 
 
-def _omitted_views(config: Config, volumes: Volumes, cameras: Sequence[str]) -> list[Omission]:
+def _omitted_views(config: Config, volumes: Volumes) -> list[Omission]:
     omitted = []
     if has_one_view(config.views):
         omitted.append(Omission("other views", "views.azimuth and views.elevation are 0"))
     if not takes_effect(config, volumes):
         return omitted
     if not config.views.camera:
-        is_thin = _is_thin([frame for volume in volumes for frame in volume.frames])
-        return [*omitted, without_camera(config, cameras, is_thin)]
+        reason = "views.camera is not set; views are around the up axis"
+        return [*omitted, Omission("the shot's camera", reason, expected=True)]
     for volume in volumes:
         omitted += invisible_parts(config, volume)
     return omitted

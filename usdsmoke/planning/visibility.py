@@ -98,9 +98,8 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
         once = replace(volume, config=config.with_values({"grids.refine": 1}))
         times, _ = price_of_detail(once, parts)
         return [
-            f"voxels of <{volume.source.prim_path}> are divided by {parts} for sharper strokes, as "
-            f"it has {longest} along its longest side. grids.refine=1 keeps them, in about "
-            f"1/{times:.2g} of the time"
+            f"<{volume.source.prim_path}> is refined by {parts}: sharper strokes, in {times:.2g} times "
+            "the time of grids.refine=1"
         ]
     for parts in _sharper(volume.sizes, _picture_side(volume)):
         times, memory = price_of_detail(volume, parts)
@@ -243,25 +242,28 @@ def rounding(density: FieldSource, grid: GridHeader) -> float:
     return float(np.spacing(np.abs(points[0]).max()) / edges.min())
 
 
-def without_camera(config: Config, cameras: Sequence[str], is_thin: bool) -> Omission:
-    """The views of a camera, where none is set; unusual if the stage has one.
+def camera_tips(volumes: Sequence[VolumePlan], cameras: Sequence[str]) -> tuple[str, ...]:
+    """That a camera of the stage would give clearer marks, where views are from all sides.
 
     Args:
         cameras: prim paths of the stage's.
-        is_thin: all smoke is one voxel thick, and seen from one side whatever the views are.
     """
-    views = config.views
-    is_chosen = views.azimuth is not None or views.elevation is not None
-    is_chosen = is_chosen or views.centre_azimuth != 0 or views.centre_elevation != 0
-    if not cameras or is_thin or is_chosen:
-        reason = "views.camera is not set; views are around the up axis"
-        return Omission("the shot's camera", reason, expected=True)
+    if not any(map(_may_use_camera, volumes)) or not cameras:
+        return ()
     one = cameras[0] if len(cameras) == 1 else f"PATH (the stage has {len(cameras)} cameras)"
-    return Omission(
-        "views of a camera",
+    return (
         f"--camera {one} gives clearer marks in its picture. Other sides get softer ones, and "
         "smoke outside its frustum stays as it is",
     )
+
+
+def _may_use_camera(volume: VolumePlan) -> bool:
+    """Whether there is smoke that is stylized from several sides, as nobody has chosen them."""
+    views = volume.config.views
+    is_chosen = views.camera or views.azimuth is not None or views.elevation is not None
+    is_chosen = is_chosen or views.centre_azimuth != 0 or views.centre_elevation != 0
+    sizes = [size for size in volume.sizes if size.computed and size.active_voxels]
+    return not is_chosen and not all(size.is_thin for size in sizes)
 
 
 def invisible_parts(config: Config, volume: VolumePlan) -> list[Omission]:
