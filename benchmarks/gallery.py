@@ -59,13 +59,15 @@ MEASURES = {"patch": "patches", "colour": "colours", "spectrum": "spectrum", "ed
 N_VIEWS = 6
 
 ABOUT = (
-    "Styles painted by `examples/styles/paint.py`, with default settings. First row: the style; "
-    "the example plume from the front and from the side; the same plume from the front, stylized "
+    "Styles painted by `examples/styles/paint.py`, with default settings: voxels of the example plume "
+    "(56 across) are divided by two. First row: the style; the example plume from the front and from the side; the same plume from the front, stylized "
     "with narrow views from there. Second row: a 2-D slab and, where its file is, the real plume "
     "in the same three pictures. [Cameras](stylize.md#cameras) shows what narrow views gain and "
     "lose. [Closeness to the style](quality.md) explains the scores. They are from "
     "all sides; rows with narrow views are scored from the front. Means of six views differ from "
-    "those of four views of another run there, by up to 0.1."
+    "those of four views of another run there, by up to 0.1. Scores of a style that is enlarged for "
+    "small smoke (`mosaic` on the example plume and the slab) are less certain, as its crops differ "
+    "more."
 )
 
 
