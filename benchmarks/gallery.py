@@ -39,7 +39,7 @@ from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.schedule import ALL_ROUND, AROUND_CAMERA
 from usdsmoke.core.style.style_image import scale_style
 from usdsmoke.planning.estimate import FrameSize
-from usdsmoke.planning.visibility import affordable_refine
+from usdsmoke.planning.visibility import affordable_parts
 
 __all__ = ["Cell", "keep_cell", "kept_cell", "main", "make_cell", "write_page"]
 
@@ -59,15 +59,16 @@ MEASURES = {"patch": "patches", "colour": "colours", "spectrum": "spectrum", "ed
 N_VIEWS = 6
 
 ABOUT = (
-    "Styles painted by `examples/styles/paint.py`, with default settings: voxels of the example plume "
-    "(56 across) are divided by two. First row: the style; the example plume from the front and from the side; the same plume from the front, stylized "
-    "with narrow views from there. Second row: a 2-D slab and, where its file is, the real plume "
+    "Styles painted by `examples/styles/paint.py`, with default settings: voxels of the example "
+    "plume (56 across) are divided by two. First row: the style; the example plume from the front "
+    "and from the side; the same plume from the front, stylized with narrow views from there. "
+    "Second row: a 2-D slab and, where its file is, the real plume "
     "in the same three pictures. [Cameras](stylize.md#cameras) shows what narrow views gain and "
     "lose. [Closeness to the style](quality.md) explains the scores. They are from "
     "all sides; rows with narrow views are scored from the front. Means of six views differ from "
-    "those of four views of another run there, by up to 0.1. Scores of a style that is enlarged for "
-    "small smoke (`mosaic` on the example plume and the slab) are less certain, as its crops differ "
-    "more."
+    "those of four views of another run there, by up to 0.1. Scores of a style that is enlarged "
+    "for small smoke (`mosaic` on the example plume and the slab) are less certain, as its crops "
+    "differ more."
 )
 
 
@@ -118,10 +119,8 @@ def _refine(frame: VolumeFrame) -> str:
     """``grids.refine`` that a plan chooses for a frame."""
     inside = np.argwhere(frame.density.values > 0)
     box = tuple(int(n) for n in np.ptp(inside, axis=0) + 1)
-    config = Config()
-    parts = affordable_refine(
-        config, [FrameSize(len(inside), box, computed=True)], config.views.image_size
-    )
+    config, sizes = Config(), [FrameSize(len(inside), box, computed=True)]
+    parts = affordable_parts(config, sizes, sizes, config.views.image_size)
     return f"grids.refine={parts}"
 
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
-from tests.fixtures.pipeline_fixtures import FakeCore, Shot, contents, make_shot, run
+from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
 from usdsmoke import rerun, verify
 from usdsmoke.audit.record import find_records
-from usdsmoke.pipeline import Request, assemble, run_window
+from usdsmoke.base.errors import PlanError
+from usdsmoke.pipeline import Request, assemble, plan_request, run_window
 
 WINDOWS = ("windows.size=2", "windows.overlap=0", "windows.shared_octaves=0")
 SMALL, LARGE = 70, 109  # voxels of which a plan makes 3 and 2 parts
@@ -40,8 +41,36 @@ def test_a_look_that_grows_keeps_its_voxels(growing_shot: Shot, core: FakeCore) 
     (found,) = find_records(grown.look_layer)
     assert set(found.record.refinements.values()) == {3}
     other = dataclasses.replace(growing_shot, output=growing_shot.folder / "at_once")
-    at_once = run(other, *WINDOWS, "optics.frames=1-2")
-    assert contents(at_once.root_stage) == contents(grown.root_stage)
+    run(other, *WINDOWS, "optics.frames=1-2")
+    assert core.parts[8:] == [3, 3, 3, 3]
+
+
+def test_the_plan_of_a_longer_look_is_that_of_its_voxels(
+    growing_shot: Shot, core: FakeCore
+) -> None:
+    run(growing_shot, *WINDOWS, "stage.frames=1-2")
+    request = Request(growing_shot.stage, growing_shot.style, growing_shot.output, WINDOWS)
+    plan = plan_request(request)
+    assert any("refined by 3" in note for note in plan.notes)
+    assert not any("refined by 2" in note for note in plan.notes)
+    fresh = dataclasses.replace(request, output=growing_shot.folder / "fresh")
+    assert plan.estimate.bytes_written > 2 * plan_request(fresh).estimate.bytes_written
+    run(growing_shot, *WINDOWS)
+    assert core.parts == [3, 3, 3, 3]
+
+
+def test_a_look_does_not_grow_by_frames_too_large_for_its_voxels(
+    growing_shot: Shot, core: FakeCore
+) -> None:
+    run(growing_shot, *WINDOWS, "stage.frames=1-2")
+    limit = "optimize.memory_limit_gib=4"
+    values = np.full((LARGE, 60, 60), 0.5, np.float32)
+    write_raw(growing_shot.stage.parent / "cache/smoke.0004.vdb", raw_grid(values))
+    with pytest.raises(PlanError, match=r"divided by 3.*--force"):
+        run(growing_shot, *WINDOWS, limit)
+    assert core.parts == [3, 3]
+    run(growing_shot, *WINDOWS, limit, force=True)
+    assert core.parts[2:] == [1, 1, 1, 1]
 
 
 def test_windows_of_a_farm_make_a_look_grow_with_its_voxels(
@@ -51,8 +80,11 @@ def test_windows_of_a_farm_make_a_look_grow_with_its_voxels(
     request = Request(growing_shot.stage, growing_shot.style, growing_shot.output, WINDOWS)
     for window in (1, 0):
         run_window(request, window)
-    assert verify(assemble(growing_shot.output).look_layer) == []
+    result = assemble(growing_shot.output)
+    assert verify(result.look_layer) == []
     assert core.parts == [3, 3, 3, 3]
+    (found,) = find_records(result.look_layer)
+    assert set(found.record.refinements.values()) == {3}
 
 
 def test_larger_smoke_in_a_rewritten_file_keeps_the_voxels(
@@ -66,3 +98,5 @@ def test_larger_smoke_in_a_rewritten_file_keeps_the_voxels(
     assert core.parts == [3, 3]  # of the window with the file
     again = rerun(result.look_layer, growing_shot.folder / "again")
     assert again.differences == () and core.parts[2:] == [3, 3, 3, 3]
+    (found,) = find_records(result.look_layer)
+    assert set(found.record.refinements.values()) == {3}

@@ -83,9 +83,10 @@ def rerun(
     styles = [item.place(name) for name in record.style_request]
     config = recorded_config(item)
     job = prepare(Request(item.place(record.stage), styles, output, config, force))
+    job = replace(job.refined_as(record.refinements), scenes=record.scenes)
     if planned is not None:
         planned(plan_with_notes(job))
-    result = stylize_job(replace(job, scenes=record.scenes), progress)
+    result = stylize_job(job, progress)
     (again,) = find_records(result.look_layer)
     frames = _frame_hashes(record)
     differences = _differences(frames, _frame_hashes(again.record))

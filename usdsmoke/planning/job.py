@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.base.errors import ConfigError
+from usdsmoke.base.errors import ConfigError, PlanError
 from usdsmoke.base.machine import check_packages
 from usdsmoke.base.naming import SCATTERING, find_run_files, relative_asset_path
 from usdsmoke.base.time_codes import name_time_codes
@@ -130,17 +130,41 @@ class Job:
         """The contact sheets of the result: one for each Volume, or none."""
         return _sheets(self.plan, self.output)
 
+    def refined_as(self, parts: Mapping[str, int]) -> "Job":
+        """The same job, prepared anew where a Volume's ``grids.refine`` is another one.
+
+        Args:
+            parts: of voxels, by prim path.
+
+        Raises:
+            PlanError: this machine has too little memory for that.
+        """
+        found = {volume.source.prim_path: volume.config.grids.parts for volume in self.plan.volumes}
+        if all(parts.get(path, own) == own for path, own in found.items()):
+            return self
+        try:
+            job = prepare_job(self.request, self.fits, parts)
+        except PlanError as error:
+            raise PlanError(
+                f"{error} The look was begun with voxels divided by {max(parts.values())}, and its "
+                "frames have to agree. Begin it again with --force, or in another folder."
+            ) from None
+        return dataclasses.replace(
+            job, scenes=self.scenes, digests=self.digests, same_grids=self.same_grids
+        )
+
     def with_config(self, config: Config) -> "Job":
         """The same job with other settings, prepared anew."""
         job = prepare_job(self.request.with_config(config), self.fits)
         return dataclasses.replace(job, digests=self.digests, same_grids=self.same_grids)
 
 
-def prepare_job(request: Request, fits: bool = True) -> Job:
+def prepare_job(request: Request, fits: bool = True, parts: Mapping[str, int] | None = None) -> Job:
     """Open the stage, find its Volumes, read the style images, make the plan and check it.
 
     Args:
         fits: True if this machine's memory, disk and network file must suffice for the whole run.
+        parts: ``grids.refine`` of Volumes that is not to be chosen, by prim path.
 
     Raises:
         UsdSmokeError: all errors that can be found without reading a voxel.
@@ -158,7 +182,7 @@ def prepare_job(request: Request, fits: bool = True) -> Job:
         style_shares(config.style, len(style_files))
     # The stage: Volumes, their own settings, cameras, lights.
     stage, earlier, resolved = read_source(stage_file(request.stage), config, style_files)
-    source = resolved.source
+    resolved, source = _refined(resolved, parts or {}), resolved.source
     for volume, own in zip(source.volumes, resolved.volumes, strict=True):
         _check_names(volume, own.config)
         _check_lights(volume, own.config)
@@ -225,6 +249,17 @@ def recorded_request(output: Path, record: Mapping[str, Any], mode: str | None =
     stage, *styles = [os.path.normpath(output / name) for name in names]
     other = {"layer.mode": mode} if mode else {}
     return Request(stage, styles, output, recorded_settings(record, output).with_values(other))
+
+
+def _refined(resolved: ResolvedVolumes, parts: Mapping[str, int]) -> ResolvedVolumes:
+    """The Volumes with the parts of voxels that are given, by prim path."""
+    volumes = list(resolved.volumes)
+    for number, volume in enumerate(resolved.source.volumes):
+        if volume.prim_path in parts:
+            own = volumes[number]
+            config = own.config.with_values({"grids.refine": parts[volume.prim_path]})
+            volumes[number] = dataclasses.replace(own, config=config)
+    return dataclasses.replace(resolved, volumes=tuple(volumes))
 
 
 def _plan(

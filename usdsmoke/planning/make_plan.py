@@ -225,7 +225,8 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
             f"about {needed:.1f} GiB of memory is needed, for <{volume.source.prim_path}> at "
             f"timeCode {frame.source.time_code:g} with {frame.size.active_voxels:,} voxels; only "
             f"{limit:.1f} GiB is available ({reason}). Lower views.pool, views.image_size or "
-            f"grids.refine, or {remedy}.{_dense_hint(frame.size)}"
+            f"grids.refine (it is {volume.config.grids.parts}), or "
+            f"{remedy}.{_dense_hint(frame.size)}"
         )
     if output is not None:
         check_disk(output, plan.estimate.bytes_written)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +67,7 @@ class VolumePlan:
     # By timeCode, selected or not: where a frame's file goes in the output folder (layer.files);
     # empty: files stay in the run's folder.
     places: Mapping[float, str] = field(default_factory=dict)
-    opens_refine: bool = False  # grids.refine was unset, and is chosen
+    chose_refine: bool = False  # grids.refine was unset
 
     @property
     def request_text(self) -> str:
@@ -105,11 +105,6 @@ class VolumePlan:
     def moves_fields(self) -> bool:
         """Whether copied fields move with the density."""
         return self.config.layer.move_fields and "shape" in self.config.optimize.steps
-
-    def with_scene(self, scene: Mapping[str, Any]) -> "VolumePlan":
-        """The Volume as its scene was measured: with that ``grids.refine``."""
-        parts = scene.get("refine", self.config.grids.parts)
-        return replace(self, config=self.config.with_values({"grids.refine": parts}))
 
     def file_of(self, frame: FramePlan) -> str:
         """The frame's file, relative to the output folder; without ``layer.files`` the run's."""

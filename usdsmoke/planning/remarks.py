@@ -121,7 +121,7 @@ def measured_on_part(volume: VolumePlan) -> bool:
     optics = volume.config.optics
     is_bent = optics.thicken is None or (optics.thicken > 1 and optics.knee is None)
     is_open = optics.gamma is None or optics.gamma_shape is None or is_bent
-    is_open = is_open or volume.config.style.is_size_open
+    is_open = is_open or volume.config.style.is_size_open or volume.chose_refine
     return is_open and len(volume.frames) < len(volume.source.time_codes)
 
 
@@ -188,7 +188,8 @@ def _part(volume: VolumePlan) -> list[str]:
         f"extinction and sizes of <{volume.source.prim_path}> are measured on "
         f"{len(volume.frames)} of {n_all}. Another selection looks slightly different. To keep one "
         "look, make this result longer with the same command and more --frames, or set "
-        "optics.gamma, optics.gamma_shape, optics.thicken, optics.knee and style.size"
+        "optics.gamma, optics.gamma_shape, optics.thicken, optics.knee, style.size and "
+        "grids.refine"
     ]
 
 

@@ -91,15 +91,15 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
                 "the camera's picture: strokes do not show. Set a larger views.camera_width, move "
                 "the camera, or unset views.camera"
             ]
-    if not volume.opens_refine:
+    if not volume.chose_refine:
         return []
     longest = max(map(max, computed_boxes(volume.sizes)), default=0)
     if (parts := config.grids.parts) > 1:
         once = replace(volume, config=config.with_values({"grids.refine": 1}))
         times, _ = price_of_detail(once, parts)
         return [
-            f"<{volume.source.prim_path}> is refined by {parts}: sharper strokes, in {times:.2g} times "
-            "the time of grids.refine=1"
+            f"<{volume.source.prim_path}> is refined by {parts}: sharper strokes, in {times:.2g} "
+            "times the time of grids.refine=1"
         ]
     for parts in _sharper(volume.sizes, _picture_side(volume)):
         times, memory = price_of_detail(volume, parts)
@@ -114,35 +114,34 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
 
 def with_refine(volume: VolumePlan) -> VolumePlan:
     """The Volume with an unset ``grids.refine`` chosen: the most that sharpens strokes and is
-    affordable.
+    affordable in all frames.
 
-    It depends on settings and on the headers of the frames, of those alone that ``optics.frames``
-    names, and not on the machine.
+    It depends on headers and on settings that decide the result, so that machines agree. Where
+    ``optics.frames`` names frames with smoke, these tell what sharpens strokes.
     """
     if volume.config.grids.refine is not None:
         return volume
-    measured = replace(volume, frames=tuple(named_frames(volume)) or volume.frames)
-    parts = affordable_refine(
-        volume.config, measured.sizes, _picture_side(measured), len(volume.styles)
-    )
+    named = [frame for frame in named_frames(volume) if not frame.is_empty] or volume.frames
+    measured = replace(volume, frames=tuple(named))
+    side = _picture_side(measured)
+    parts = affordable_parts(volume.config, volume.sizes, measured.sizes, side)
     config = volume.config.with_values({"grids.refine": parts})
-    return replace(volume, config=config, opens_refine=True)
+    return replace(volume, config=config, chose_refine=True)
 
 
-def affordable_refine(
-    config: Config, sizes: Sequence[FrameSize], pixels: float, n_styles: int = 1
+def affordable_parts(
+    config: Config, sizes: Sequence[FrameSize], measured: Sequence[FrameSize], pixels: float
 ) -> int:
-    """What an unset ``grids.refine`` becomes for frames of these sizes.
+    """What an unset ``grids.refine`` becomes.
 
     Args:
-        pixels: of the longest side of the smoke in a picture.
+        sizes: of all frames.
+        measured: of those that tell what sharpens strokes.
+        pixels: along the longest side of their smoke, at most.
     """
-    for parts in _sharper(sizes, pixels):
+    for parts in _sharper(measured, pixels):
         finer = config.with_values({"grids.refine": parts})
-        if max(visible_voxels(size, finer) for size in sizes) > _MOST_VOXELS:
-            continue
-        limit = config.optimize.memory_limit_gib
-        if not limit or estimate_run(sizes, finer, n_styles).memory_gib <= limit:
+        if max(visible_voxels(size, finer) for size in sizes) <= _MOST_VOXELS:
             return parts
     return 1
 

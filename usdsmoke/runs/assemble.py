@@ -306,6 +306,7 @@ def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
     """What a run of other frames of the shot would have to set for the same look."""
     voxel, steps = scene["reference_voxel_size"], volume.config.optimize.steps
     values = {"style.size": used_style_size(volume, scene), "optics.thicken": 1.0}
+    values["grids.refine"] = scene.get("refine", 1)
     if "colour" in steps:
         values["optics.gamma"] = scene["gamma_w"] * voxel
     if "shape" in steps:

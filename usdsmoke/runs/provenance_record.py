@@ -117,7 +117,7 @@ def make_record(
         shaders=shaders,
         extinction={volume.source.prim_path: _extinction(scene) for volume, scene in measured},
         style_sizes={v.source.prim_path: used_style_size(v, scene) for v, scene in measured},
-        refinements={v.source.prim_path: v.config.grids.parts for v, _ in measured},
+        refinements={v.source.prim_path: scene.get("refine", 1) for v, scene in measured},
         omitted=tuple(f"{omission.what}: {omission.reason}" for omission in plan.omitted),
         seconds={"stylize": work + coarse, "coarse": coarse, **step_seconds(reports)},
         figures=summarize_figures(reports),

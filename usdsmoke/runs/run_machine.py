@@ -5,6 +5,7 @@ every later task uses one of that kind. Another kind of processor cannot be made
 manifest names the one that made it, and the result names those that differ.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +35,7 @@ def machine_of(job: Job) -> "Machine":
 def with_settled(job: Job, run: Run) -> Job:
     """The job with what was left open as its run was begun: the device, measured frames, and how
     often voxels are divided."""
-    settled = _optimize(run)
+    job, settled = with_known_voxels(job, run.scenes or job.scenes), _optimize(run)
     measured = run.description.get("settings", {}).get("optics", {}).get("frames", "")
 
     def settle(config: Config) -> Config:
@@ -47,13 +48,19 @@ def with_settled(job: Job, run: Run) -> Job:
         optics = config.optics.replace(frames=config.optics.frames or measured)
         return config.replace(optimize=optimize, optics=optics)
 
-    scenes = run.scenes or job.scenes or [{}] * len(job.plan.volumes)
-    volumes = tuple(
-        replace(volume, config=settle(volume.config)).with_scene(scene)
-        for volume, scene in zip(job.plan.volumes, scenes, strict=True)
-    )
+    volumes = tuple(replace(volume, config=settle(volume.config)) for volume in job.plan.volumes)
     plan = replace(job.plan, config=settle(job.plan.config), volumes=volumes)
     return replace(job, plan=plan)
+
+
+def with_known_voxels(job: Job, scenes: Sequence[Mapping[str, Any]]) -> Job:
+    """The job with voxels divided as when scenes were measured; as it is without scenes.
+
+    Raises:
+        PlanError: see ``Job.refined_as``.
+    """
+    pairs = zip(job.plan.volumes, scenes, strict=False)
+    return job.refined_as({v.source.prim_path: s["refine"] for v, s in pairs if "refine" in s})
 
 
 def processor_note(run: Run, here: str) -> tuple[str, ...]:

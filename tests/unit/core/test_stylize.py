@@ -16,7 +16,7 @@ from tests.fixtures.stylize_fixtures import (
 )
 from usdsmoke.base.errors import FeatureError, NonFiniteError
 from usdsmoke.base.frame_report import FrameReport, Progress
-from usdsmoke.base.volume import VolumeFrame
+from usdsmoke.base.volume import FrameControls, VolumeFrame
 from usdsmoke.config.resolve import resolve_config
 from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.stylize import StylizedFrame
@@ -241,6 +241,18 @@ def test_refinement_gives_finer_voxels_of_the_same_smoke():
     assert np.linalg.det(result.density.index_to_world) == pytest.approx(1 / 8)
     assert mass(result.density.values) / 8 == pytest.approx(mass(DENSITY), rel=1e-4)
     assert result.emission.values.shape == (*result.density.values.shape, 3)
+
+
+def test_frames_without_an_effect_keep_the_voxels_of_the_source():
+    config = quick_config(grids={"refine": 2}, optimize={"threads": 1, "iterations": 2})
+    unseen = dataclasses.replace(FRAME, controls=FrameControls(strength=0.0))
+    before, seen, behind = run_core(
+        [unseen, dataclasses.replace(FRAME, time_code=2.0),
+         dataclasses.replace(unseen, time_code=3.0)], config
+    )  # fmt: skip
+    assert before.density is unseen.density and behind.density is unseen.density
+    assert before.emission.values.shape == (*DENSITY.shape, 3) and not before.emission.values.any()
+    assert seen.density.values.size > 4 * DENSITY.size
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

@@ -8,6 +8,7 @@ import pytest
 
 from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import Shot, make_shot
+from usdsmoke.base.errors import PlanError
 from usdsmoke.pipeline import Request, plan_request
 from usdsmoke.planning.plan import Plan
 
@@ -50,8 +51,6 @@ def parts_of(plan: Plan) -> int:
         ((70, 6, 6), ("optimize.strength=0",), 1),
         ((70, 50, 50), (), 2),  # 4.7 million voxels with 3
         ((70, 50, 60), (), 1),  # 1.7 million voxels with 2
-        ((70, 50, 50), ("optimize.memory_limit_gib=4",), 2),
-        ((70, 50, 50), ("optimize.memory_limit_gib=1.5",), 1),  # 2.8 GiB with 2
     ],
 )
 def test_voxels_are_divided_where_they_are_coarser_than_pictures_and_few(
@@ -68,10 +67,32 @@ def test_all_frames_have_the_parts_of_the_largest_one(
     assert parts_of(plan_of(shot)) == 2
 
 
-def test_frames_that_are_measured_decide_for_all(tmp_path: Path) -> None:
+def test_frames_that_are_measured_tell_what_is_sharper(tmp_path: Path) -> None:
     shot = shot_of(tmp_path, (70, 6, 6), (109, 6, 6))
     assert parts_of(plan_of(shot, "optics.frames=1")) == 3
     assert parts_of(plan_of(shot, "stage.frames=1")) == 3
+
+
+def test_no_frame_gets_too_many_voxels_whichever_are_measured(tmp_path: Path) -> None:
+    shot = shot_of(tmp_path, (70, 6, 6), (200, 40, 40))
+    assert parts_of(plan_of(shot, "optics.frames=1")) == 1
+    assert parts_of(plan_of(shot, "stage.frames=1", "optics.frames=1")) == 3
+
+
+def test_named_frames_without_smoke_tell_nothing(tmp_path: Path) -> None:
+    shot = shot_of(tmp_path, (70, 6, 6), (109, 6, 6))
+    write_raw(shot.stage.parent / "cache/smoke.0001.vdb", raw_grid(np.zeros((0, 0, 0))))
+    assert parts_of(plan_of(shot, "optics.frames=1")) == 2
+
+
+def test_voxels_do_not_depend_on_the_memory_and_too_little_is_told_with_the_setting(
+    tmp_path: Path,
+) -> None:
+    shot = shot_of(tmp_path, (70, 50, 50))
+    assert parts_of(plan_of(shot, "optimize.memory_limit_gib=4")) == 2
+    with pytest.raises(PlanError, match=r"grids\.refine \(it is 2\)"):
+        plan_of(shot, "optimize.memory_limit_gib=1.5")
+    assert parts_of(plan_of(shot, "optimize.memory_limit_gib=1.5", "grids.refine=1")) == 1
 
 
 @pytest.mark.parametrize(

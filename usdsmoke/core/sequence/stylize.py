@@ -110,8 +110,10 @@ def stylize_window(
 
 def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame:
     """What is written of a finished frame, with its errors in the report."""
-    painted = tuple(_empty(frame.density, name) for name in context.config.painted)
-    if painted and frame.painted is not None and frame.colours is not None:
+    # without an effect it is the source, in the source's voxels
+    density = frame.density if frame.in_effect else frame.frame.density
+    painted = tuple(_empty(density, name) for name in context.config.painted)
+    if frame.in_effect and frame.painted is not None and frame.colours is not None:
         strength: float | Tensor = frame.config.optimize.strength
         if frame.mask is not None:
             strength = strength * frame.mask.at(frame.painted.positions)
@@ -125,7 +127,7 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
         depth_by_side=depth_by_side(frame, depth),
     )  # fmt: skip
     return StylizedFrame(
-        frame.time_code, frame.density, painted, report, frame.moved_by, frame.checkpoint
+        frame.time_code, density, painted, report, frame.moved_by, frame.checkpoint
     )  # fmt: skip
 
 

@@ -30,7 +30,7 @@ from usdsmoke.runs.opening.refusals import (
 )
 from usdsmoke.runs.progress import WAITING, RunProgressCallback
 from usdsmoke.runs.run import Run, damaged_records, find_runs, new_run
-from usdsmoke.runs.run_machine import with_settled
+from usdsmoke.runs.run_machine import with_known_voxels, with_settled
 from usdsmoke.usd.look import published_runs
 
 _BEGINNING = "vdb/begin.lock"  # held while a run begins
@@ -244,7 +244,7 @@ def open_run_to_assemble(
                 changes.details,
             )
         try:
-            yield OpenRun(run, job, lock)
+            yield OpenRun(run, with_known_voxels(job, run.scenes), lock)
         except KeyboardInterrupt:
             raise Interrupted("stopped. Run the same command again to continue.") from None
 

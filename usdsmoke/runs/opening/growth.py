@@ -32,6 +32,7 @@ from usdsmoke.runs.manifests import (
 )
 from usdsmoke.runs.opened import has_coarse_step
 from usdsmoke.runs.run import Run, find_runs
+from usdsmoke.runs.run_machine import with_known_voxels
 from usdsmoke.usd.look import published_runs
 from usdsmoke.vdb.header import read_header
 
@@ -51,6 +52,9 @@ class Growth:
         then, now = (_frames_text(plan.tasks) for plan in (self.before, self.job.plan))
         if then != now:
             yield f"the look grows from the frames {then} to {now}"
+        for volume in self.job.plan.volumes:
+            if (parts := volume.config.grids.parts) > 1:
+                yield f"<{volume.source.prim_path}> stays refined by {parts}"
         if self.rewritten:
             names = sorted(os.path.basename(path) for path in self.rewritten)
             more = f" and {count_text(len(names) - 1, 'more file')}" if names[1:] else ""
@@ -203,13 +207,15 @@ def find_growth(job: Job) -> Growth | None:
     """
     if job.request.force:
         return None
-    asked = _codes(job.plan)
+    asked, paths = _codes(job.plan), {volume.source.prim_path for volume in job.plan.volumes}
     published = published_runs(job.targets.look_layer)
     for run in find_runs(job.output):
         is_result = run.complete and run.run_id in published
         done = _done(run)
         if not (is_result and run.look == job.config.layer.look and done <= asked):
             continue
+        if paths != {path for path, _ in done}:  # a Volume that has nothing yet is measured first
+            return None
         before = _with_frames_of(job, run)
         if before is None:
             return None
@@ -373,10 +379,8 @@ def _measured_as(job: Job, earlier: Run, codes: str) -> Job:
     def settle(config: Config) -> Config:
         return config.replace(optics=config.optics.replace(frames=codes))
 
-    volumes = tuple(
-        replace(volume, config=settle(volume.config)).with_scene(scene)
-        for volume, scene in zip(job.plan.volumes, earlier.scenes, strict=True)
-    )
+    job = with_known_voxels(job, earlier.scenes)
+    volumes = tuple(replace(volume, config=settle(volume.config)) for volume in job.plan.volumes)
     plan = replace(job.plan, config=settle(job.plan.config), volumes=volumes)
     return replace(job, plan=plan)
 
