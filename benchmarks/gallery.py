@@ -67,8 +67,7 @@ ABOUT = (
     "lose. [Closeness to the style](quality.md) explains the scores. They are from "
     "all sides; rows with narrow views are scored from the front. Means of six views differ from "
     "those of four views of another run there, by up to 0.1. Scores of a style that is enlarged "
-    "for small smoke (`mosaic` on the example plume and the slab) are less certain, as its crops "
-    "differ more."
+    "for small smoke (`mosaic` on the slab) are less certain, as its crops differ more."
 )
 
 

@@ -31,8 +31,8 @@ _SHORTEST = 24  # voxels along the longest side of the small copy: less shows no
 class Case:
     """What sweeps measure.
 
-    ``scene`` and ``frame`` are those of a run, with the density thickened. ``small`` is the same
-    frame with its voxels merged in blocks until its longest side has at most ``longest``.
+    ``scene`` and ``frame`` are those of a run, with the density refined and thickened. ``small`` is
+    the same frame with its voxels merged in blocks until its longest side has at most ``longest``.
     ``small_scene`` has pictures to match and the same extinction.
     """
 
@@ -143,8 +143,7 @@ class Case:
 
     def read_with_velocity(self, frame: FramePlan) -> VolumeFrame:
         """A frame with its velocity, where it has one, even if the configured run reads none."""
-        found = self._read_with_velocity(frame)
-        return found if self.thickening is None else self.thickening.of_frame(found)
+        return _as_computed(self._read_with_velocity(frame), self.config, self.thickening)
 
     def _read_with_velocity(self, frame: FramePlan) -> VolumeFrame:
         volume, config = self.volume, self.config
@@ -178,8 +177,7 @@ def open_case(job: Job, longest: int, seconds: float) -> Case:
     scene = Scene(**measure_scenes(reader, job)[place])
     frame = reader.read(volume, chosen)
     curve = scene.thickening
-    if curve is not None:
-        frame = curve.of_frame(frame)
+    frame = _as_computed(frame, volume.config, curve)
     scene = replace(scene.without_thickening(), camera=frame.camera)
     case = Case(job, volume, reader, chosen, frame, scene, longest, seconds, thickening=curve)
     if len(case.smoke.ijk) == 0:
@@ -188,6 +186,16 @@ def open_case(job: Job, longest: int, seconds: float) -> Case:
             "density. Choose other frames with --frames."
         )
     return case
+
+
+def _as_computed(
+    frame: VolumeFrame, config: Config, thickening: "Thickening | None"
+) -> VolumeFrame:
+    """The frame with the voxels and the density that a run computes with."""
+    from usdsmoke.core.fields.resample import refine_field
+
+    frame = replace(frame, density=refine_field(frame.density, config.grids.parts))
+    return frame if thickening is None else thickening.of_frame(frame)
 
 
 def _halvings(smoke: "ActiveSmoke", longest: int) -> int:
