@@ -49,8 +49,8 @@ class GridsConfig(Section):
         None, "value that replaces NaN and infinity; unset: they are an error",
         ge=-3.4e38, le=3.4e38)
     refine: int | None = setting(
-        None, "number of parts into which each voxel is divided, per axis; unset: 1, or more where "
-        "voxels are coarser than the pictures and few enough", ge=1, le=16)
+        None, "number of parts into which each voxel is divided, per axis; unset: chosen in the "
+        "plan, 1 or, for small smoke, up to 4", ge=1, le=16)
     prune: float = setting(0.0, "density at or below which a voxel becomes inactive", ge=0)
     memory_limit_gib: float = setting(
         8.0, "memory limit for reading a VDB file", gt=0, unit="GiB")

@@ -97,9 +97,10 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
     if (parts := config.grids.parts) > 1:
         once = replace(volume, config=config.with_values({"grids.refine": 1}))
         times, _ = price_of_detail(once, parts)
+        most = max(visible_voxels(size, config) for size in volume.sizes)
         return [
             f"<{volume.source.prim_path}> is refined by {parts}: sharper strokes, in {times:.2g} "
-            "times the time of grids.refine=1"
+            f"times the time of grids.refine=1. Its largest frame gets {most:,} voxels"
         ]
     for parts in _sharper(volume.sizes, _picture_side(volume)):
         times, memory = price_of_detail(volume, parts)
@@ -173,14 +174,18 @@ def computed_boxes(sizes: Sequence[FrameSize]) -> list[tuple[int, int, int]]:
 
 def price_of_detail(volume: VolumePlan, parts: int) -> tuple[float, float]:
     """How many times the time a Volume takes with ``grids.refine``, and its memory in GiB."""
-    config, sizes = volume.config, volume.sizes
-    finer = config.with_values({"grids.refine": parts})
-    usual, refined = (estimate_run(sizes, c, len(volume.styles)) for c in (config, finer))
-    before, after = (
-        cost.seconds + training_seconds(sizes, c, len(volume.styles))
-        for cost, c in ((usual, config), (refined, finer))
-    )
-    return after / before, refined.memory_gib
+    finer = volume.config.with_values({"grids.refine": parts})
+    (before, _), (after, memory) = (_cost(volume, config) for config in (volume.config, finer))
+    return after / before, memory
+
+
+def _cost(volume: VolumePlan, config: Config) -> tuple[float, float]:
+    """Seconds and GiB of memory that a Volume takes with other settings."""
+    most = max(visible_voxels(size, config) for size in volume.sizes)
+    sizes = [replace(size, most_voxels=most) for size in volume.sizes]
+    estimate = estimate_run(sizes, config, len(volume.styles))
+    training = training_seconds(sizes, config, len(volume.styles))
+    return estimate.seconds + training, estimate.memory_gib
 
 
 def _pixels_across(config: Config, volume: VolumePlan, frames: Sequence[FramePlan]) -> float:
@@ -251,8 +256,8 @@ def camera_tips(volumes: Sequence[VolumePlan], cameras: Sequence[str]) -> tuple[
         return ()
     one = cameras[0] if len(cameras) == 1 else f"PATH (the stage has {len(cameras)} cameras)"
     return (
-        f"--camera {one} gives clearer marks in its picture. Other sides get softer ones, and "
-        "smoke outside its frustum stays as it is",
+        f"--camera {one} gives clearer strokes in its picture. Other sides get softer ones, and "
+        "smoke outside its frustum is not stylized",
     )
 
 

@@ -98,8 +98,11 @@ def test_voxels_do_not_depend_on_the_memory_and_too_little_is_told_with_the_sett
 @pytest.mark.parametrize(
     "settings", [(), ("optimize.start=network",), ("optimize.steps=[colour]",)]
 )
-def test_the_plan_tells_what_dividing_costs(tmp_path: Path, settings: tuple[str, ...]) -> None:
-    shot = shot_of(tmp_path, (100, 40, 40))
+@pytest.mark.parametrize("box", [(100, 40, 40), (76, 25, 25)])
+def test_the_plan_tells_what_dividing_costs(
+    tmp_path: Path, box: Box, settings: tuple[str, ...]
+) -> None:
+    shot = shot_of(tmp_path, box)
     own, unset = (plan_of(shot, *settings, *more) for more in (("grids.refine=1",), ()))
     (note,) = (note for note in unset.notes if "grids.refine=1" in note)
     (told,) = (float(found) for found in re.findall(r"([\d.]+) times", note))

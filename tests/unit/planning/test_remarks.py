@@ -61,7 +61,10 @@ def test_a_style_of_a_few_pixels_is_remarked_on(setting: str, shot: Shot) -> Non
 def test_a_part_of_a_shot_is_measured_on_that_part_and_the_plan_says_so(shot: Shot) -> None:
     (note,) = plan_of(shot, "stage.frames=1-2").notes
     assert "on 2 of 3" in note and "optics.gamma" in note
-    known = ("optics.gamma=1", "optics.gamma_shape=1", "optics.thicken=1", "style.size=1")
+    known = (
+        "optics.gamma=1", "optics.gamma_shape=1", "optics.thicken=1", "style.size=1",
+        "grids.refine=1",
+    )  # fmt: skip
     assert plan_of(shot, "stage.frames=1-2", *known).notes == ()
     assert plan_of(shot, "stage.frames=1-2", known[0]).notes
 
