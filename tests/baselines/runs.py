@@ -29,7 +29,7 @@ FIRST = ("plume", "mask", "repaired")  # half of the work, for one of two proces
 # Bits must not depend on the number of threads or on a GPU that happens to be there.
 FIXED = (
     "optimize.device=cpu", "optimize.threads=1", "views.pool=3", "views.image_size=36",
-    "shape.iterations=[2, 1]", "colour.iterations=[2, 1]",
+    "shape.iterations=[2, 1]", "colour.iterations=[2, 1]", "grids.refine=1",
 )  # fmt: skip
 QUICK = "optimize.error_budget=false"
 COLOUR, SHAPE = "optimize.steps=[colour]", "optimize.steps=[shape]"
