@@ -1,6 +1,7 @@
 """Parts of voxels that a run has chosen: what goes on with its result divides voxels alike."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,12 @@ from tests.fixtures.grids_fixtures import raw_grid, write_raw
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
 from usdsmoke import rerun, verify
 from usdsmoke.audit.record import find_records
-from usdsmoke.base.errors import PlanError
+from usdsmoke.base.errors import OutputExists, PlanError
+from usdsmoke.farm import submit
+from usdsmoke.farm.tasks import divide_run
 from usdsmoke.pipeline import Request, assemble, plan_request, run_window
+from usdsmoke.planning.job import prepare_job
+from usdsmoke.runs.opening import find_growth
 
 WINDOWS = ("windows.size=2", "windows.overlap=0", "windows.shared_octaves=0")
 SMALL, LARGE = 70, 109  # voxels of which a plan makes 3 and 2 parts
@@ -66,11 +71,54 @@ def test_a_look_does_not_grow_by_frames_too_large_for_its_voxels(
     limit = "optimize.memory_limit_gib=4"
     values = np.full((LARGE, 60, 60), 0.5, np.float32)
     write_raw(growing_shot.stage.parent / "cache/smoke.0004.vdb", raw_grid(values))
-    with pytest.raises(PlanError, match=r"divided by 3.*--force"):
+    with pytest.raises(PlanError, match=r"it is 3\).*--force"):
         run(growing_shot, *WINDOWS, limit)
     assert core.parts == [3, 3]
     run(growing_shot, *WINDOWS, limit, force=True)
     assert core.parts[2:] == [1, 1, 1, 1]
+
+
+def test_a_look_without_smoke_gets_no_frames_with_smoke(growing_shot: Shot, core: FakeCore) -> None:
+    """Nothing is known of what such frames would have to share."""
+    empty = raw_grid(np.zeros((0, 0, 0)))
+    for code in (1, 2):
+        write_raw(growing_shot.stage.parent / f"cache/smoke.{code:04d}.vdb", empty)
+    core.scene = dataclasses.replace(core.scene, thick=0.0)
+    run(growing_shot, *WINDOWS, "stage.frames=1-2")
+    core.scene = dataclasses.replace(core.scene, thick=1.0)
+    with pytest.raises(OutputExists, match=r"</World/smoke>.*--force"):
+        run(growing_shot, *WINDOWS)
+    run(growing_shot, *WINDOWS, force=True)
+    assert core.parts[2:] == [2, 2, 2, 2]
+
+
+def test_first_frames_that_a_machine_cannot_refine_are_told_too(
+    growing_shot: Shot, core: FakeCore
+) -> None:
+    for code, box in enumerate(((SMALL, 50, 50), (SMALL, 50, 50), (LARGE, 60, 60)), 1):
+        smoke = raw_grid(np.full(box, 0.5, np.float32))
+        write_raw(growing_shot.stage.parent / f"cache/smoke.{code:04d}.vdb", smoke)
+    run(growing_shot, *WINDOWS, "stage.frames=1-2")
+    assert core.parts == [2, 2]
+    with pytest.raises(PlanError, match=r"it is 2\).*--force"):
+        run(growing_shot, *WINDOWS, "optimize.memory_limit_gib=2")
+
+
+def test_a_queue_is_asked_for_the_memory_of_a_longer_look(
+    growing_shot: Shot, core: FakeCore
+) -> None:
+    run(growing_shot, *WINDOWS, "stage.frames=1-2")
+    write_raw(
+        growing_shot.stage.parent / "cache/smoke.0004.vdb",
+        raw_grid(np.full((LARGE, 60, 60), 0.5, np.float32)),
+    )
+    request = Request(growing_shot.stage, growing_shot.style, growing_shot.output, WINDOWS)
+    finer = find_growth(prepare_job(request)).job.plan.estimate.memory_gib
+    assert finer > 1.5 * prepare_job(request).plan.estimate.memory_gib
+    assert divide_run(request).plan.estimate.memory_gib == finer
+    template = submit(request).template.read_text()
+    told = re.findall(r"amount\.worker\.memory\W+min: (\d+)", template)
+    assert max(map(int, told)) / 1024 >= finer
 
 
 def test_windows_of_a_farm_make_a_look_grow_with_its_voxels(

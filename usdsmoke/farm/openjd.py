@@ -23,6 +23,7 @@ from usdsmoke.pipeline import Request, plan_request
 from usdsmoke.planning.job import prepare_job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.planning.visibility import check_visibility
+from usdsmoke.runs.opening import find_growth
 
 FIRST_LINE = "# Written by 'usdsmoke submit', which replaces it; change the copy that is submitted."
 _LONGEST_NAME = 128  # characters of a job's name
@@ -253,7 +254,8 @@ def submit(
     stage_file = _read_stage(Path(str(request.stage)), job.plan)
     given = [str(beside[name]) for name in ("settings", "overrides")]
     parameters = job_parameters(str(stage_file), images, str(folder), *given)
-    memory, layer = job.plan.estimate.memory_gib, job.config.layer
+    growth, layer = find_growth(job), job.config.layer
+    memory = (growth.job.plan if growth else job.plan).estimate.memory_gib
     assembly = ["--look", layer.look, "--mode", layer.mode]
     texts = {
         beside["settings"]: f"{FIRST_LINE}\n{settings_yaml(request.config, comments=False)}",

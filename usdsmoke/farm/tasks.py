@@ -76,5 +76,6 @@ def divide_job(job: Job) -> Tasks:
             job, _, numbers = repeated
             return Tasks(job.request.with_config(job.config), job.plan, frozenset(numbers))
     check_targets(job)
-    refuse_result(job, find_growth(job))
-    return Tasks(job.request, job.plan)
+    growth = find_growth(job)
+    refuse_result(job, growth)
+    return Tasks(job.request, growth.job.plan if growth else job.plan)

@@ -385,9 +385,9 @@ def _step_work(
 
 
 def _frame_bytes(frame: FrameSize, config: Config) -> int:
-    active, _ = _refined(frame, config)
-    values = 1 + _colour_values(config)
-    per_value = TREE * (2 if config.grids.half else 4)
+    # a frame without an effect keeps the voxels of its source
+    active = _refined(frame, config)[0] if _is_optimized(frame, config) else frame.active_voxels
+    values, per_value = 1 + _colour_values(config), TREE * (2 if config.grids.half else 4)
     copied = frame.n_copied * frame.active_voxels  # never refined
     return round(FILE_BYTES + (active * values + copied) * per_value)
 

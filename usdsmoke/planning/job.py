@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.base.errors import ConfigError, PlanError
+from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.machine import check_packages
 from usdsmoke.base.naming import SCATTERING, find_run_files, relative_asset_path
 from usdsmoke.base.time_codes import name_time_codes
@@ -142,13 +142,7 @@ class Job:
         found = {volume.source.prim_path: volume.config.grids.parts for volume in self.plan.volumes}
         if all(parts.get(path, own) == own for path, own in found.items()):
             return self
-        try:
-            job = prepare_job(self.request, self.fits, parts)
-        except PlanError as error:
-            raise PlanError(
-                f"{error} The look was begun with voxels divided by {max(parts.values())}, and its "
-                "frames have to agree. Begin it again with --force, or in another folder."
-            ) from None
+        job = prepare_job(self.request, self.fits, parts)
         return dataclasses.replace(
             job, scenes=self.scenes, digests=self.digests, same_grids=self.same_grids
         )

@@ -100,7 +100,7 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
         most = max(visible_voxels(size, config) for size in volume.sizes)
         return [
             f"<{volume.source.prim_path}> is refined by {parts}: sharper strokes, in {times:.2g} "
-            f"times the time of grids.refine=1. Its largest frame gets {most:,} voxels"
+            f"times the time of grids.refine=1. Its largest frame gets about {most:,} voxels"
         ]
     for parts in _sharper(volume.sizes, _picture_side(volume)):
         times, memory = price_of_detail(volume, parts)
@@ -284,7 +284,7 @@ def invisible_parts(config: Config, volume: VolumePlan) -> list[Omission]:
         omitted.append(
             Omission(
                 f"about {1 - n_visible / n_active:.0%} of the smoke {where}",
-                "it is outside the camera's frustum (views.camera) and stays as in the source",
+                "it is outside the camera's frustum (views.camera) and is not stylized",
             )
         )
     finest, pixel = pixel_sizes(config, volume, filled)

@@ -246,5 +246,7 @@ def test_the_largest_frame_is_counted_in_refined_voxels(shape, refine, most):
     frames = [frame_of(np.ones(shape)), frame_of(np.ones((2, 2, 2)))]
     for order in (frames, frames[::-1]):
         scene = measure_scene(order, ViewsConfig(), OpticsConfig(), "Y", refine)
-        assert scene.most_voxels == most
+        assert scene.most_voxels == most and scene.refine == refine
+    nothing = measure_scene([frame_of(np.zeros(shape))], ViewsConfig(), OpticsConfig(), "Y", refine)
+    assert nothing.refine == refine
     assert scene_of([frame_of(np.ones((8, 8, 8)))], Config()).coarser(2).most_voxels == 4**3

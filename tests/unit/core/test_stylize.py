@@ -253,6 +253,8 @@ def test_frames_without_an_effect_keep_the_voxels_of_the_source():
     assert before.density is unseen.density and behind.density is unseen.density
     assert before.emission.values.shape == (*DENSITY.shape, 3) and not before.emission.values.any()
     assert seen.density.values.size > 4 * DENSITY.size
+    (whole,) = run_core([FRAME], quick_config(optimize={"threads": 1, "iterations": 2}))
+    assert before.report.voxels == whole.report.voxels < seen.report.voxels
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

@@ -174,6 +174,15 @@ def test_durations_are_told_in_the_units_people_use(seconds: float, text: str) -
     assert format_seconds(seconds) == text
 
 
+def test_windows_at_once_get_no_more_lines() -> None:
+    stream = io.StringIO()
+    with ConsoleProgress(Console(file=stream, force_terminal=False), lambda: 0.0) as progress:
+        for _ in range(20):
+            progress(RunProgress("colour", 8.0, 7, 8, 0.5, window=0))
+            progress(RunProgress("colour", 9.0, 0, 8, 0.5, window=1))
+    assert len(stream.getvalue().splitlines()) == 2
+
+
 def test_a_log_gets_a_line_for_the_last_frame_of_a_step() -> None:
     stream = io.StringIO()
     with ConsoleProgress(Console(file=stream, force_terminal=False)) as progress:

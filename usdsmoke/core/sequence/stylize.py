@@ -21,7 +21,7 @@ from usdsmoke.core.sequence.error_estimates import (
 from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import PaintedFrame, WindowContext, make_context
 from usdsmoke.core.sequence.start import Carried, CoarseStart, on_device
-from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import decode_srgb
 from usdsmoke.core.views.scene import Scene
 
@@ -120,9 +120,12 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
         extinction = frame.scene.gamma_w * strength * frame.painted.density
         for field in painted:
             _fill(field, frame.painted, _per_extinction(frame, field.name), extinction)
-    depth = thick_depth(frame)
+    report, depth = frame.report, thick_depth(frame)
+    if not frame.in_effect:
+        source = activate(density, frame.frame.density_to_stage, context.device)
+        report = replace(report, voxels=len(source.ijk))
     report = replace(
-        frame.report, errors=frame_errors(frame), depth=depth, gamma_is_set=gamma_is_set(frame),
+        report, errors=frame_errors(frame), depth=depth, gamma_is_set=gamma_is_set(frame),
         gamma_is_own=frame.paint is not None and frame.frame.controls.gamma is not None,
         depth_by_side=depth_by_side(frame, depth),
     )  # fmt: skip

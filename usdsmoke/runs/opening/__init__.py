@@ -3,6 +3,7 @@
 - ``choose``: a run that is begun, continued, joined, repeated or refused
 - ``course``: the same for the plan, before anything is written
 - ``growth``: a result that gets more frames or whose source changed in part: what stays
+- ``measured``: what frames share that a look gets later
 - ``refusals``: what is in the way
 """
 

@@ -31,8 +31,8 @@ from usdsmoke.runs.manifests import (
     part_file_name,
 )
 from usdsmoke.runs.opened import has_coarse_step
+from usdsmoke.runs.opening.measured import check_measured, measured_as
 from usdsmoke.runs.run import Run, find_runs
-from usdsmoke.runs.run_machine import with_known_voxels
 from usdsmoke.usd.look import published_runs
 from usdsmoke.vdb.header import read_header
 
@@ -204,30 +204,33 @@ def find_growth(job: Job) -> Growth | None:
     None where its output folder holds no result of fewer of its frames, or of all of them with
     other content in some source files, that is otherwise the same; and where every frame is read
     from a file with other content.
+
+    Raises:
+        OutputExists: the result has no smoke of a Volume that has some now.
+        PlanError: this machine has too little memory for the voxels that it was begun with.
     """
     if job.request.force:
         return None
-    asked, paths = _codes(job.plan), {volume.source.prim_path for volume in job.plan.volumes}
+    asked = _codes(job.plan)
     published = published_runs(job.targets.look_layer)
     for run in find_runs(job.output):
         is_result = run.complete and run.run_id in published
         done = _done(run)
         if not (is_result and run.look == job.config.layer.look and done <= asked):
             continue
-        if paths != {path for path, _ in done}:  # a Volume that has nothing yet is measured first
-            return None
         before = _with_frames_of(job, run)
         if before is None:
             return None
         changes = Identity(before).changes(run, whatever_frames=True)
         if not (changes.only_files if changes else done < asked):
             return None
+        check_measured(job, before.plan, run)
         recorded = run.description["settings"]["optics"].get("frames")
         measured = recorded or (_text(done) if done < asked else "")
         folder = Path(job.plan.source.file_path).parent
         files = job.plan.source.grid_files
         rewritten = frozenset(f for f in files if os.path.relpath(f, folder) in changes.files)
-        growth = Growth(_measured_as(job, run, measured), run, before.plan, rewritten)
+        growth = Growth(measured_as(job, run, measured), run, before.plan, rewritten)
         if rewritten and growth.is_all_new:
             return None
         if run.description.get("scenes") or not growth.is_measured:
@@ -293,8 +296,8 @@ def _with_frames_of(job: Job, run: Run) -> Job | None:
     done = _done(run)
     if has_frames_of(job, run):
         return job
-    try:
-        before = job.with_config(_selecting(job, _text(done)))
+    try:  # of these frames nothing is computed: they need no memory
+        before = replace(job, fits=False).with_config(_selecting(job, _text(done)))
     except UsdSmokeError:
         return None
     return before if has_frames_of(before, run) else None
@@ -373,16 +376,6 @@ def _difference(task: WindowTask, old: WindowTask, starts: set[str]) -> str:
 
 def _has_start(task: WindowTask, code: float) -> bool:
     return any(code in chain for chain in task.volume.coarse_runs)
-
-
-def _measured_as(job: Job, earlier: Run, codes: str) -> Job:
-    def settle(config: Config) -> Config:
-        return config.replace(optics=config.optics.replace(frames=codes))
-
-    job = with_known_voxels(job, earlier.scenes)
-    volumes = tuple(replace(volume, config=settle(volume.config)) for volume in job.plan.volumes)
-    plan = replace(job.plan, config=settle(job.plan.config), volumes=volumes)
-    return replace(job, plan=plan)
 
 
 def _frames_text(tasks: Sequence[WindowTask]) -> str:

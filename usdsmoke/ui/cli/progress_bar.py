@@ -30,7 +30,8 @@ class ConsoleProgress:
         self._clock = clock
         self._began: tuple[float, float] | None = None  # time and share at the first iteration
         self._last_line = clock()
-        self._last_told = ("", False)  # a step, and whether it was its last frame
+        # by window: the step that was told last, and whether it was its last frame
+        self._told_steps: dict[int | None, tuple[str, bool]] = {}
         self._told: set[tuple[str, str]] = set()  # kinds of findings
         self._bars = Progress(
             TextColumn("{task.description}", markup=False),
@@ -69,9 +70,10 @@ class ConsoleProgress:
             left = self._time_left(now, report.share)
         self._bars.update(self._task, description=where, completed=report.share, left=left)
         told = (report.step, report.frame + 1 == report.n_frames)
-        is_due = told != self._last_told or now - self._last_line >= LINE_EVERY
+        is_due = told != self._told_steps.get(report.window)
+        is_due = is_due or now - self._last_line >= LINE_EVERY
         if not self._console.is_terminal and is_due:
-            self._last_line, self._last_told = now, told
+            self._last_line, self._told_steps[report.window] = now, told
             self.say(f"{report.share:4.0%} {where} {left}".rstrip())
 
     def say(self, message: str) -> None:
