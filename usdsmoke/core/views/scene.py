@@ -270,9 +270,7 @@ def measure_scene(
     """
     filled, stops = _filled(frames), optics.exposure or 0.0
     if not filled:
-        return Scene(
-            1.0, 1.0, 1.0, up_axis, 1.0, views.image_size, stops=stops, refine=refine
-        )  # fmt: skip
+        return Scene(1.0, 1.0, 1.0, up_axis, 1.0, views.image_size, stops=stops, refine=refine)
     voxel = float(np.median([smoke.voxel_size for smoke, _ in filled]))
     longest, near = _picture_sides(filled, views, up_axis)
     whole = [(smoke, camera, smoke.floor) for smoke, camera in filled]
