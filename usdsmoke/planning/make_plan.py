@@ -221,12 +221,13 @@ def check_plan(plan: Plan, output: Path | None = None) -> None:
     if needed > limit:
         frames = [(volume, frame) for volume in plan.volumes for frame in volume.frames]
         volume, frame = max(frames, key=lambda item: item[1].size.active_voxels)
+        parts = volume.config.grids.parts
+        finer = f", grids.refine (it is {parts})" if parts > 1 else ""
         raise PlanError(
             f"about {needed:.1f} GiB of memory is needed, for <{volume.source.prim_path}> at "
             f"timeCode {frame.source.time_code:g} with {frame.size.active_voxels:,} voxels; only "
-            f"{limit:.1f} GiB is available ({reason}). Lower views.pool, views.image_size or "
-            f"grids.refine (it is {volume.config.grids.parts}), or "
-            f"{remedy}.{_dense_hint(frame.size)}"
+            f"{limit:.1f} GiB is available ({reason}). Lower views.pool, views.image_size{finer}, "
+            f"or {remedy}.{_dense_hint(frame.size)}"
         )
     if output is not None:
         check_disk(output, plan.estimate.bytes_written)

@@ -18,8 +18,8 @@ from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan, named_frames
 from usdsmoke.vdb.header import GridHeader
 
 MOST_REFINED = 4  # 64 times the voxels
-# Visible voxels of the largest frame up to which smoke is refined by itself: with the default
-# settings it takes about as long as a simulation of a million voxels (decision 083)
+# Visible voxels of the largest frame up to which smoke is refined automatically: with the default
+# settings it takes up to one and a half times as long as a million voxels (decision 083)
 _MOST_VOXELS = 1_500_000
 _SAMPLES = 16  # points along each side of a box
 # Pixels of a picture for one voxel from which strokes look smeared: with 192 pixels, plumes of 109
