@@ -29,7 +29,6 @@ from usdsmoke.planning.estimate import (
     add_estimates,
     estimate_run,
     grid_size,
-    visible_voxels,
     voxel_edges,
 )
 from usdsmoke.planning.frames import (
@@ -43,7 +42,13 @@ from usdsmoke.planning.materials import material_warnings
 from usdsmoke.planning.needs import list_needed, list_omitted
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.planning.remarks import list_remarks
-from usdsmoke.planning.visibility import camera_tips, unseen_warnings, visible_share, with_refine
+from usdsmoke.planning.visibility import (
+    camera_tips,
+    most_visible,
+    unseen_warnings,
+    visible_share,
+    with_refine,
+)
 from usdsmoke.planning.windows import coarse_runs, find_cuts, followed_codes, split_windows
 from usdsmoke.usd.inspect import grids_beside
 from usdsmoke.usd.volume_settings import VolumeSettings
@@ -307,7 +312,7 @@ def _plan_volume(
     planned = with_refine(
         VolumePlan(volume, stem, tuple(frames), windows, config, own.styles, runs, cuts, reasons)
     )
-    most = max(visible_voxels(frame.size, planned.config) for frame in frames)
+    most = most_visible(planned.sizes, planned.config)
     frames = [replace(frame, size=replace(frame.size, most_voxels=most)) for frame in frames]
     frames = [
         _with_copies(frame, grids, planned.moves_fields)

@@ -93,15 +93,15 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
             ]
     if not volume.chose_refine:
         return []
-    longest = max(map(max, computed_boxes(volume.sizes)), default=0)
     if (parts := config.grids.parts) > 1:
         once = replace(volume, config=config.with_values({"grids.refine": 1}))
         times, _ = price_of_detail(once, parts)
-        most = max(visible_voxels(size, config) for size in volume.sizes)
+        most = most_visible(volume.sizes, config)
         return [
             f"<{volume.source.prim_path}> is refined by {parts}: sharper strokes, in {times:.2g} "
             f"times the time of grids.refine=1. Its largest frame gets about {most:,} voxels"
         ]
+    longest = max(map(max, computed_boxes(volume.sizes)), default=0)
     for parts in _sharper(volume.sizes, _picture_side(volume)):
         times, memory = price_of_detail(volume, parts)
         if memory <= (config.optimize.memory_limit_gib or available_memory_gib()):
@@ -142,9 +142,14 @@ def affordable_parts(
     """
     for parts in _sharper(measured, pixels):
         finer = config.with_values({"grids.refine": parts})
-        if max(visible_voxels(size, finer) for size in sizes) <= _MOST_VOXELS:
+        if most_visible(sizes, finer) <= _MOST_VOXELS:
             return parts
     return 1
+
+
+def most_visible(sizes: Sequence[FrameSize], config: Config) -> int:
+    """The visible voxels of the largest frame, refined."""
+    return max(visible_voxels(size, config) for size in sizes)
 
 
 def _picture_side(volume: VolumePlan) -> float:
@@ -181,7 +186,7 @@ def price_of_detail(volume: VolumePlan, parts: int) -> tuple[float, float]:
 
 def _cost(volume: VolumePlan, config: Config) -> tuple[float, float]:
     """Seconds and GiB of memory that a Volume takes with other settings."""
-    most = max(visible_voxels(size, config) for size in volume.sizes)
+    most = most_visible(volume.sizes, config)
     sizes = [replace(size, most_voxels=most) for size in volume.sizes]
     estimate = estimate_run(sizes, config, len(volume.styles))
     training = training_seconds(sizes, config, len(volume.styles))

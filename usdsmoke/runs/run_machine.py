@@ -5,7 +5,7 @@ every later task uses one of that kind. Another kind of processor cannot be made
 manifest names the one that made it, and the result names those that differ.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -48,8 +48,13 @@ def with_settled(job: Job, run: Run) -> Job:
         optics = config.optics.replace(frames=config.optics.frames or measured)
         return config.replace(optimize=optimize, optics=optics)
 
-    volumes = tuple(replace(volume, config=settle(volume.config)) for volume in job.plan.volumes)
-    plan = replace(job.plan, config=settle(job.plan.config), volumes=volumes)
+    return with_changed(job, settle)
+
+
+def with_changed(job: Job, change: Callable[[Config], Config]) -> Job:
+    """The job with other settings of the run and its Volumes, which change nothing else planned."""
+    volumes = tuple(replace(volume, config=change(volume.config)) for volume in job.plan.volumes)
+    plan = replace(job.plan, config=change(job.plan.config), volumes=volumes)
     return replace(job, plan=plan)
 
 

@@ -120,12 +120,12 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
         extinction = frame.scene.gamma_w * strength * frame.painted.density
         for field in painted:
             _fill(field, frame.painted, _per_extinction(frame, field.name), extinction)
-    report, depth = frame.report, thick_depth(frame)
+    n_voxels, depth = frame.report.voxels, thick_depth(frame)
     if not frame.in_effect:
-        source = activate(density, frame.frame.density_to_stage, context.device)
-        report = replace(report, voxels=len(source.ijk))
+        n_voxels = len(activate(density, frame.frame.density_to_stage, context.device).ijk)
     report = replace(
-        report, errors=frame_errors(frame), depth=depth, gamma_is_set=gamma_is_set(frame),
+        frame.report, voxels=n_voxels, errors=frame_errors(frame), depth=depth,
+        gamma_is_set=gamma_is_set(frame),
         gamma_is_own=frame.paint is not None and frame.frame.controls.gamma is not None,
         depth_by_side=depth_by_side(frame, depth),
     )  # fmt: skip

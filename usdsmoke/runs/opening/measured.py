@@ -1,13 +1,10 @@
 """What frames share that a look gets later: what was measured of the shot as it was begun."""
 
-from dataclasses import replace
-
 from usdsmoke.base.errors import OutputExists, PlanError
-from usdsmoke.config.settings import Config
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.plan import Plan
 from usdsmoke.runs.run import Run
-from usdsmoke.runs.run_machine import with_known_voxels
+from usdsmoke.runs.run_machine import with_changed, with_known_voxels
 
 
 def check_measured(job: Job, before: Plan, run: Run) -> None:
@@ -42,10 +39,6 @@ def measured_as(job: Job, earlier: Run, codes: str) -> Job:
     Raises:
         PlanError: this machine has too little memory for such voxels.
     """
-
-    def settle(config: Config) -> Config:
-        return config.replace(optics=config.optics.replace(frames=codes))
-
     try:
         job = with_known_voxels(job, earlier.scenes)
     except PlanError as error:
@@ -53,6 +46,6 @@ def measured_as(job: Job, earlier: Run, codes: str) -> Job:
             f"{error} The look was begun with these voxels, and its frames have to agree. Begin "
             "it again with --force, or in another folder."
         ) from None
-    volumes = tuple(replace(volume, config=settle(volume.config)) for volume in job.plan.volumes)
-    plan = replace(job.plan, config=settle(job.plan.config), volumes=volumes)
-    return replace(job, plan=plan)
+    return with_changed(
+        job, lambda config: config.replace(optics=config.optics.replace(frames=codes))
+    )
