@@ -30,7 +30,7 @@ from usdsmoke.core.views.optics import THICKEST, Slabs, opacity
 # Share of the most opaque pixel: fainter light vanishes in the rounding of float32 sums anyway.
 NEGLIGIBLE = 1e-9
 DIM = 0.01  # of the most opaque pixel: how opaque all count at least when shares are compared
-CHUNK_ROWS = 2**15  # voxels whose pixels are found at once
+CHUNK_ROWS = 2**17  # voxels whose pixels are found at once; fewer take longer, as threads wait
 
 
 @dataclass(frozen=True)
