@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -41,8 +40,8 @@ def compose_sheet(
     """Labelled pictures in rows, and style images, if there are any, at the right.
 
     Pictures are shown pixel by pixel. Style images are scaled without changing their proportions.
-    If the first rows are shorter than the longest one, style images stand beside these rows, unless
-    a column of their own shows them larger.
+    If the first or the last rows are shorter than the longest one, style images stand beside these
+    rows, unless a column of their own shows them larger.
 
     Args:
         title: above everything.
@@ -66,13 +65,13 @@ def compose_sheet(
     labels = [math.ceil(font.getlength(label)) for row in rows for label, _ in row]
     wide = max([wide, *labels])
     n_columns = max((len(row) for row in rows), default=0)
-    beside = list(takewhile(lambda row: len(row) < n_columns, rows))  # rows with room at the right
+    beside = _short_rows([len(row) for row in rows])
     there, own = (
         (side, (max(n_rows, 1) * (tall + _LABEL + _GAP) - _LABEL) // max(len(styles), 1) - _GAP)
         for side, n_rows in ((wide, len(beside)), (_STYLE, len(rows)))
     )
     if min(there) < min(own):
-        beside = []
+        beside = range(0)
     width = 2 * _MARGIN + n_columns * (wide + _GAP) - _GAP
     width += (_STYLE + _GAP) if styles and not beside else 0
     width = max(width, 2 * _MARGIN + math.ceil(font.getlength(title)))
@@ -87,11 +86,23 @@ def compose_sheet(
             draw.text((left, top), label, _INK, font)
             sheet.paste(_image(picture), (left, top + _LABEL))
     if styles:
-        column = max(map(len, beside), default=n_columns)
-        place = (_MARGIN + column * (wide + _GAP), _MARGIN + _LABEL)
+        column = max((len(rows[number]) for number in beside), default=n_columns)
+        first = beside[0] if beside else 0
+        top = _MARGIN + _LABEL + first * (tall + _LABEL + _GAP)
+        place = (_MARGIN + column * (wide + _GAP), top)
         draw.text(place, "style", _INK, font)
         _paste_styles(sheet, styles, (place[0], place[1] + _LABEL), there if beside else own)
     return np.asarray(sheet, np.float32) / 255.0
+
+
+def _short_rows(lengths: Sequence[int]) -> range:
+    """The first rows that are shorter than the longest one; if there are none, the last such."""
+    is_short = [length < max(lengths) for length in lengths]
+    if not any(is_short):
+        return range(0)
+    if is_short[0]:
+        return range(is_short.index(False))
+    return range(len(lengths) - is_short[::-1].index(False), len(lengths))
 
 
 def _paste_styles(

@@ -15,6 +15,7 @@ from usdsmoke.base.json_records import plain_values
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.base.publish import make_folders, publish_file
 from usdsmoke.base.record_format import hash_file
+from usdsmoke.base.time_codes import spread
 from usdsmoke.config.settings import Config
 from usdsmoke.pictures import find_style_size, refine_for_less
 from usdsmoke.planning.frame_reader import FrameReader
@@ -25,7 +26,6 @@ from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, network_file
 from usdsmoke.runs.opened import OpenRun, has_coarse_step, missing_starts
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback, share_of
 from usdsmoke.runs.run import Run
-from usdsmoke.runs.sheet import sample_frames
 
 if TYPE_CHECKING:
     from usdsmoke.base.frame_report import Progress
@@ -77,7 +77,7 @@ def measured_frames(volume: VolumePlan) -> list[FramePlan]:
     """Up to three frames with smoke of those that ``optics.frames`` names; of all where it names
     none of this Volume's."""
     named = dataclasses.replace(volume, frames=tuple(named_frames(volume)))
-    return sample_frames(named) or sample_frames(volume)
+    return spread(named.filled) or spread(volume.filled)
 
 
 def read_scene(run: Run, volume_number: int) -> "Scene":

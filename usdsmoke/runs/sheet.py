@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 # Where the smoke is seen from, degrees around the up axis; the first is the front.
 _TURN = {0.0: "front", 30.0: "30 degrees", 90.0: "side", 180.0: "back"}
+_N_FRAMES = 4  # at most, as many as the turn and a style image have places
 _PIXELS_PER_VOXEL = 4  # at most: smaller pixels show no more
 _DRAWN_PER_VOXEL = 1.5  # of those; the others are interpolated, as the smoke itself is
 _WIDEST = 2  # times the height of a picture
@@ -45,9 +46,9 @@ _WIDEST = 2  # times the height of a picture
 _Labelled = tuple[str, np.ndarray]  # a picture and its name
 
 
-def sample_frames(volume: VolumePlan) -> list[FramePlan]:
-    """At most three frames with smoke, spread from the first to the last; in order."""
-    return spread(volume.filled)
+def shown_frames(volume: VolumePlan) -> list[FramePlan]:
+    """The frames of a contact sheet: with smoke, spread from the first to the last, in order."""
+    return spread(volume.filled, _N_FRAMES)
 
 
 def write_contact_sheet(
@@ -59,8 +60,8 @@ def write_contact_sheet(
     scene: "Scene",
     styles: Sequence[np.ndarray],
 ) -> None:
-    """The first, the middle and the last frame of a Volume, source above result, and a turn around
-    the middle one, beside the style images.
+    """Frames of a Volume from the first to the last, source above result, and a turn around a
+    middle one, beside the style images. The front of the turn is among the frames.
 
     All pictures have one scale. The fields of a picture are released before the next ones are read,
     so that the sheet does not raise the run's peak memory.
@@ -79,7 +80,7 @@ def write_contact_sheet(
         ShapeError: the fields are flattened on the stage.
         WriteFailed: the picture cannot be written.
     """
-    frames = sample_frames(volume)
+    frames = shown_frames(volume)
     sources: list[_Labelled] = []
     results: list[_Labelled] = []
     turn: list[_Labelled] = []
@@ -90,13 +91,13 @@ def write_contact_sheet(
         name = f"timeCode {format_time_code(frame.source.time_code)}"
         sources.append((f"source, {name}", shown.source(reader, views["front"])))
         give_back_memory()
-        here = views if number == len(frames) // 2 else {"front": views["front"]}
+        here = views if number == (len(frames) - 1) // 2 else {"front": views["front"]}
         seen = shown.result(folder, here)
-        results.append((f"result, {name}", seen["front"]))
-        if len(seen) > 1:
-            turn = [(f"result, {name}, {side}", picture) for side, picture in seen.items()]
+        front = seen.pop("front")
+        results.append((f"result, {name}", front))
+        turn += [(f"result, {name}, {side}", picture) for side, picture in seen.items()]
         give_back_memory()
-    rows = [sources, turn] if len(results) == 1 and turn else [sources, results, turn]
+    rows = [sources, results + turn] if len(results) == 1 else [sources, results, turn]
     title = f"{volume.source.prim_path}, {Path(plan.source.file_path).name}"
     write_png(target, compose_sheet(title, [row for row in rows if row], styles))
 

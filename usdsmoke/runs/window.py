@@ -26,7 +26,7 @@ from usdsmoke.runs.opened import OpenRun, has_coarse_step
 from usdsmoke.runs.outputs import write_result
 from usdsmoke.runs.progress import RunProgress, RunProgressCallback, WorkMeter
 from usdsmoke.runs.run import Run
-from usdsmoke.runs.sheet import sample_frames
+from usdsmoke.runs.sheet import shown_frames
 
 if TYPE_CHECKING:
     from usdsmoke.base.frame_report import Progress
@@ -132,7 +132,7 @@ def stylize_windows(
 def _frames_to_assemble(plan: Plan) -> Iterator[FramePlan]:
     """Sources that are read after the windows: for contact sheets, and beside blended frames."""
     for volume in plan.volumes:
-        yield from sample_frames(volume)
+        yield from shown_frames(volume)
         for frame in volume.overlap_frames:
             if frame.copied is not None or (frame.others and not volume.moves_fields):
                 yield frame

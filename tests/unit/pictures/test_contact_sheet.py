@@ -71,10 +71,21 @@ def test_styles_fill_the_room_beside_short_rows() -> None:
     assert red[0].stop < green[0].start and green[0].stop < last_row
 
 
+def test_a_style_stands_in_the_last_row_where_that_alone_is_short() -> None:
+    """Source and result of four frames above a turn of three."""
+    rows = [[("", flat(WHITE, 450, 300))] * n for n in (4, 4, 3)]
+    sheet, plain = compose_sheet("", rows, [flat(RED)]), compose_sheet("", rows)
+    red, white = where(sheet, RED), where(sheet, WHITE)
+    assert sheet.shape == plain.shape
+    assert red[1].stop == white[1].stop and red[1].stop - red[1].start == 300
+    last_row = np.flatnonzero((plain == 1).all(axis=-1)[:, white[1].start])[-450]
+    assert red[0].start == last_row
+
+
 @pytest.mark.parametrize(
     ("lengths", "size", "n_styles"),
-    [((3, 3, 4), (40, 40), 1), ((1, 4), (450, 300), 3), ((4, 3), (450, 300), 1)],
-    ids=["small pictures", "several styles", "a long row first"],
+    [((3, 3, 4), (40, 40), 1), ((1, 4), (450, 300), 3), ((4, 4), (450, 300), 1)],
+    ids=["small pictures", "several styles", "no short row"],
 )
 def test_styles_have_a_column_of_their_own_where_they_are_larger_there(
     lengths: tuple[int, ...], size: tuple[int, int], n_styles: int
