@@ -6,13 +6,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from usdsmoke.base.errors import REFUSED
+from usdsmoke.base.errors import REFUSED, ConfigError
 from usdsmoke.base.machine import prepare_torch_environment
 from usdsmoke.config.resolve import FilePath, Settings, Styles
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job, Request, prepare_job
 from usdsmoke.planning.output_folder import resolve_output
-from usdsmoke.planning.plan import Plan
+from usdsmoke.planning.plan import Plan, WindowTask
 from usdsmoke.runs.assemble import StylizeResult, assemble_run, is_whole, summarize_result
 from usdsmoke.runs.budget import ELSEWHERE, PartClock
 from usdsmoke.runs.coarse import run_coarse_step, share_before_windows
@@ -259,8 +259,9 @@ def run_window(
         UsdSmokeError: see ``usdsmoke.base.errors``.
         Interrupted: by Ctrl-C.
     """
-    job, tell = continued(prepare(request)), progress or ignore_progress
-    task = job.plan.task(window)  # refused before the plan is shown
+    asked, tell = prepare(request), progress or ignore_progress
+    job = continued(asked)
+    task = _task(job, asked, window)  # refused before the plan is shown
     if planned is not None:
         planned(plan_with_notes(job, whole=False))
     with join_run(job, tell, task) as opened:
@@ -274,6 +275,25 @@ def run_window(
             tell = run_coarse_step(opened, tell, task.frames) or tell
             stylize_windows(opened, [task], hashes, tell, redo)
     return _task_result(opened, window, was_done)
+
+
+def _task(job: Job, asked: Job, window: int) -> WindowTask:
+    """A window of a run.
+
+    Raises:
+        ConfigError: there is no such window; why, where the run has other frames than are asked
+            for.
+    """
+    try:
+        return job.plan.task(window)
+    except ConfigError as error:
+        if job is asked:
+            raise
+        raise ConfigError(
+            f"{error} The unfinished run in {job.output} was begun with the frames "
+            f"{job.config.stage.frames}. Finish it and assemble it, then send the windows of the "
+            "longer shot."
+        ) from None
 
 
 def assemble(

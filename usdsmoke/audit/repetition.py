@@ -114,9 +114,10 @@ def _refuse_changes(item: FoundRecord) -> None:
             for change in changes[:_MOST_NAMED]
         )
         more = f"; and {len(changes) - _MOST_NAMED} more" if len(changes) > _MOST_NAMED else ""
+        force = ", or use --force (force=True in Python) to rerun with the changed inputs"
+        force = "" if any(change.kind.endswith("-missing") for change in changes) else force
         raise LayerError(
-            f"the inputs of {item.file} have changed: {named}{more}. Restore them, or use --force "
-            "(force=True in Python) to rerun with the changed inputs."
+            f"the inputs of {item.file} have changed: {named}{more}. Restore them{force}."
         )
 
 

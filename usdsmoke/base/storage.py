@@ -1,4 +1,4 @@
-"""What a VDB file keeps of computed values: pruning, rounding to 16-bit floats, and the loss."""
+"""What a VDB file keeps of computed values: rounding to 16-bit floats, and the loss."""
 
 import dataclasses
 import time
@@ -17,24 +17,6 @@ MOST_LOST = 0.01  # of a copied field; 16-bit floats lose up to 0.05 % of number
 def round_to_half(values: np.ndarray) -> np.ndarray:
     """The nearest 16-bit floats as float32; beyond ``LARGEST_HALF`` infinite."""
     return values.astype(np.float16).astype(np.float32)
-
-
-def prune_fields(fields: Sequence[DenseField], prune: float) -> list[DenseField]:
-    """The fields with their background wherever there is too little smoke.
-
-    Args:
-        fields: density first; the others are on the same voxels.
-        prune: density at or below which a voxel is left out; 0 gives the fields back.
-    """
-    if prune <= 0 or fields[0].is_empty:
-        return list(fields)
-    smoke = fields[0].values > prune
-    found = []
-    for field in fields:
-        mask = smoke[..., None] if field.values.ndim == 4 else smoke
-        background = np.asarray(field.background, np.float32)
-        found.append(dataclasses.replace(field, values=np.where(mask, field.values, background)))
-    return found
 
 
 def clip_to_smoke(field: DenseField, density: DenseField) -> DenseField:
@@ -86,11 +68,12 @@ def check_half(time_code: float, densest: float, brightest: float) -> None:
             )
 
 
-def check_half_copy(name: str, values: np.ndarray) -> None:
+def check_half_copy(name: str, values: np.ndarray, remedy: str) -> None:
     """Refuse 16-bit floats that cannot hold a field that is copied.
 
     Args:
         name: of the copy.
+        remedy: what to do.
 
     Raises:
         ConfigError: with the largest number and the one that can be held, or the share of small
@@ -100,24 +83,21 @@ def check_half_copy(name: str, values: np.ndarray) -> None:
     if largest > LARGEST_HALF:
         raise ConfigError(
             f"16-bit floats hold numbers up to {LARGEST_HALF:g}, but the copied field "
-            f'"{name}" reaches {largest:g}. Unset grids.half (--half), or leave the field '
-            "out of layer.copy_fields."
+            f'"{name}" reaches {largest:g}. {remedy}'
         )
     lost = _difference(values, values, half=True)
     if not lost <= MOST_LOST:
         raise ConfigError(
             f'16-bit floats lose numbers below 3e-8: {lost:.0%} of the copied field "{name}", '
-            f"which reaches {largest:g}. Unset grids.half (--half), or leave the field out of "
-            "layer.copy_fields."
+            f"which reaches {largest:g}. {remedy}"
         )
 
 
 def storage_errors(
     fields: Sequence[DenseField],
+    kept: Sequence[DenseField],
     half: bool,
-    prune: float,
     others: FrameErrors | None = None,
-    kept: Sequence[DenseField] | None = None,
 ) -> FrameErrors:
     """How far what a file holds is from what was computed, relative to that.
 
@@ -126,18 +106,16 @@ def storage_errors(
 
     Args:
         fields: density and, after a colour step, emission, before they are pruned.
+        kept: the same, pruned.
         half: whether the file holds 16-bit floats.
-        prune: see ``prune_fields``.
         others: errors of the frame that are kept; None: there are none.
-        kept: the fields from ``prune_fields``, where they are at hand.
     """
     found: dict[str, Estimate] = {}
     names = ("storage_density", "storage_emission")
-    kept = prune_fields(fields, prune) if kept is None else kept
     for name, field, stored in zip(names, fields, kept, strict=False):
         started = time.perf_counter()
         lost = 0.0
-        if prune > 0 or half:
+        if half or stored is not field:
             lost = _difference(field.values, stored.values, half)
         found[name] = Estimate(lost, time.perf_counter() - started)
     return dataclasses.replace(others or FrameErrors(), **found)

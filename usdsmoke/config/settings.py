@@ -93,6 +93,11 @@ class Config(BaseModel):
         return {"albedo": 1.0, "both": COLOURED_ALBEDO}.get(self.colour.target, LIT_ALBEDO)
 
     @property
+    def chooses_exposure(self) -> bool:
+        """Whether the exposure of a painted albedo is measured, and not set."""
+        return self.colour.target == "albedo" and self.optics.exposure is None
+
+    @property
     def painted(self) -> tuple[str, ...]:
         """What the colour step makes: ``naming.EMISSION``, ``naming.SCATTERING``, both or none."""
         if "colour" not in self.optimize.steps:

@@ -22,8 +22,9 @@ _ERRORS = (OSError, RuntimeError, SyntaxError, TypeError, ValueError, EOFError, 
 
 def read_exr_channels(
     file_path: Path, most_pixels: int
-) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """The channels R, G, B, Y and A that the first part has, [H W] each, and the names of all.
+) -> tuple[dict[str, np.ndarray], tuple[str, ...], tuple[float, ...]]:
+    """The channels R, G, B, Y and A that the first part has, [H W] each, the names of all, and the
+    chromaticities of red, green, blue and white, x and y of each; empty where it has none.
 
     Raises:
         ImageError: the file cannot be decoded, or has more pixels than that.
@@ -39,7 +40,8 @@ def read_exr_channels(
         answer, arrays = child.run_child(request, [], GridsConfig(time_limit_s=seconds))
     except child.ChildFailure as failure:
         raise _undecodable(file_path, failure) from None
-    return dict(zip(answer["read"], arrays, strict=True)), tuple(answer["names"])
+    channels = dict(zip(answer["read"], arrays, strict=True))
+    return channels, tuple(answer["names"]), tuple(answer["chromaticities"])
 
 
 def decode(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
@@ -49,7 +51,8 @@ def decode(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
     where = Path(request["file_path"])
     try:
         with OpenEXR.File(str(where), header_only=True) as image:
-            low, high = image.header()["dataWindow"]
+            header = image.header()
+            low, high = header["dataWindow"]
         width, height = (int(b) - int(a) + 1 for a, b in zip(low, high, strict=True))
         check_size(where, width, height, request["most_pixels"])
         with OpenEXR.File(str(where), separate_channels=True) as image:
@@ -57,7 +60,9 @@ def decode(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
             read = [name for name in WANTED if name in channels]
             for number, name in enumerate(read):
                 np.save(folder / f"out{number}.npy", np.asarray(channels[name].pixels, np.float32))
-            return {"names": list(channels), "read": read}, len(read)
+            primaries = [float(number) for number in header.get("chromaticities") or ()]
+            answer = {"names": list(channels), "read": read, "chromaticities": primaries}
+            return answer, len(read)
     except _ERRORS as error:
         raise _undecodable(where, error) from None
 

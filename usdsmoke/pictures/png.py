@@ -23,6 +23,8 @@ from usdsmoke.pictures.profiles import to_srgb
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "GIF", "TGA", "PPM", "JPEG2000")
 _SRGB_GAMMA = 0.45455  # of a PNG file that holds sRGB
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
+# chromaticities of red, green, blue and white, x and y of each [ITU-R BT.709-6]
+_REC709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 _ONE_COLOUR = 1.5 / 255  # less than two levels between the least and the greatest value
 _DARK = 0.1  # display-encoded; a hundredth of white's light
 _MOST_WHITE = 0.5  # of a linear image's values
@@ -72,9 +74,8 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
             f"cannot read the style image {where}: {error.strerror or error}. Check the path and "
             "its permissions."
         ) from None
-    note = ""
     if is_exr:
-        pixels, alpha = _read_exr(where)
+        pixels, alpha, note = _read_exr(where)
     else:
         pixels, alpha, note = _read_pillow(where)
     if alpha is not None:
@@ -196,8 +197,8 @@ def _grey_to_rgb(grey: np.ndarray) -> np.ndarray:
     return np.repeat(grey[..., None].astype(np.float32), 3, axis=-1)
 
 
-def _read_exr(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    channels, all_names = read_exr_channels(where, _MAX_PIXELS)
+def _read_exr(where: Path) -> tuple[np.ndarray, np.ndarray | None, str]:
+    channels, all_names, primaries = read_exr_channels(where, _MAX_PIXELS)
     names = ("R", "G", "B") if {"R", "G", "B"} <= set(all_names) else ("Y", "Y", "Y")
     if names[0] not in channels or {"RY", "BY"} & set(all_names):
         raise ImageError(
@@ -210,7 +211,13 @@ def _read_exr(where: Path) -> tuple[np.ndarray, np.ndarray | None]:
         alpha = np.clip(alpha, 0.0, 1.0)
         _check_finite(f"the alpha channel of the style image {where}", alpha)
         linear = linear / np.where(alpha > 0.0, alpha, 1.0)[..., None]  # stored premultiplied
-    return _encoded(where, linear), alpha
+    note = ""
+    if primaries and not np.allclose(primaries, _REC709, atol=0.005):
+        note = (
+            f"the style image {where.name} has other primaries than Rec.709, and is read as if it "
+            "had those. Convert it to linear Rec.709 (sRGB primaries)"
+        )
+    return _encoded(where, linear), alpha, note
 
 
 def _encoded(where: Path, linear: np.ndarray) -> np.ndarray:

@@ -119,7 +119,7 @@ class FrameSize:
     mask_box: tuple[int, int, int] = (0, 0, 0)  # voxels of the mask; (0, 0, 0) without one
     visible: float = 1.0  # share of the box that the shot's camera sees
     computed: bool | None = None  # True if it is optimised; None: as optimize.strength implies
-    most_voxels: int = 0  # visible, refined ones of the shot's largest frame; 0: its own
+    most_voxels: int = 0  # visible, refined ones of the largest frame that decides; 0: its own
     edges: tuple[float, float, float] = (1.0, 1.0, 1.0)  # of a voxel along i, j, k; any unit
 
     @property
@@ -271,7 +271,7 @@ def visible_voxels(frame: FrameSize, config: Config) -> int:
 
 def _moves_blocks(frame: FrameSize, config: Config) -> bool:
     """Whether the shape step moves blocks of two voxels: a shot's frames all do, or none."""
-    return max(frame.most_voxels, visible_voxels(frame, config)) >= MANY_VOXELS
+    return (frame.most_voxels or visible_voxels(frame, config)) >= MANY_VOXELS
 
 
 def _voxels_a_pixel(frame: FrameSize, config: Config) -> int:

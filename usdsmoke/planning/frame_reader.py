@@ -22,6 +22,11 @@ from usdsmoke.vdb.read import GridRequest, ReadGrids, read_grids
 from usdsmoke.vdb.store import GridStore
 from usdsmoke.vdb.velocity import read_velocity, scale_field
 
+_FULL_FIELD = "Unset grids.half (--half), or leave the field out of layer.copy_fields."
+_FULL_VELOCITY = (
+    "Unset grids.half (--half) and layer.compact_velocity, or set layer.copy_velocity=false."
+)
+
 
 class FrameReader:
     """Reads the frames of a plan. Each grid is decoded and checked once, see ``GridStore``."""
@@ -57,11 +62,15 @@ class FrameReader:
 
         Raises:
             GridError: see ``read_velocity_grids``.
+            ConfigError: it is stored in 16-bit floats, which do not hold it.
         """
         if frame.copied is None:
             return []
-        density = frame.source.fields[volume.source.density]
-        return read_velocity_grids(frame.copied, density, volume.config, self._store.read)
+        density, config = frame.source.fields[volume.source.density], volume.config
+        grids = read_velocity_grids(frame.copied, density, config, self._store.read)
+        for grid in grids if config.grids.half or config.layer.compact_velocity else ():
+            check_half_copy(grid.name, grid.values, _FULL_VELOCITY)
+        return grids
 
     def read_others(self, volume: VolumePlan, frame: FramePlan) -> list[DenseField]:
         """The other grids that are copied to a frame's result, as they are in the source.
@@ -77,7 +86,7 @@ class FrameReader:
     def _read_other(self, volume: VolumePlan, grid: CopiedGrid) -> DenseField:
         (field,) = self._store.read(grid.field.file_path, [grid.request], volume.config.grids)
         if volume.config.grids.half:
-            check_half_copy(grid.name, field.values)
+            check_half_copy(grid.name, field.values, _FULL_FIELD)
         return field
 
     def hash_sources(self, volume: VolumePlan, frame: FramePlan) -> dict[str, str]:
@@ -90,7 +99,8 @@ class FrameReader:
             GridError, NonFiniteError: see ``read``.
         """
         found = _hashes(self.read(volume, frame))
-        if "velocity" not in found and (copied := self.read_velocity_copy(volume, frame)):
+        copied = self.read_velocity_copy(volume, frame)
+        if copied and "velocity" not in found:
             found["velocity"] = hash_fields(copied)
         others = {grid.name: self._read_other(volume, grid) for grid in frame.others}
         return {name: hash_fields([field]) for name, field in others.items()} | found

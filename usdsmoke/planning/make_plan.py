@@ -40,7 +40,7 @@ from usdsmoke.planning.frames import (
 )
 from usdsmoke.planning.materials import material_warnings
 from usdsmoke.planning.needs import list_needed, list_omitted
-from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask, decisive_frames
 from usdsmoke.planning.remarks import list_remarks
 from usdsmoke.planning.visibility import (
     camera_tips,
@@ -312,7 +312,7 @@ def _plan_volume(
     planned = with_refine(
         VolumePlan(volume, stem, tuple(frames), windows, config, own.styles, runs, cuts, reasons)
     )
-    most = most_visible(planned.sizes, planned.config)
+    most = most_visible([f.size for f in decisive_frames(planned)], planned.config)
     frames = [replace(frame, size=replace(frame.size, most_voxels=most)) for frame in frames]
     frames = [
         _with_copies(frame, grids, planned.moves_fields)

@@ -281,6 +281,13 @@ def _frame_dict(volume: VolumePlan, frame: FramePlan) -> dict[str, Any]:
     }
 
 
+def decisive_frames(volume: VolumePlan) -> list[FramePlan]:
+    """The frames that decide what is the same in all: those with smoke that ``optics.frames``
+    names; else all with smoke; else all."""
+    named = [frame for frame in named_frames(volume) if not frame.is_empty]
+    return named or volume.filled or list(volume.frames)
+
+
 def named_frames(volume: VolumePlan) -> list[FramePlan]:
     """The frames that ``optics.frames`` names; none where it names none of this Volume's."""
     ranges = parse_frames(volume.config.optics.frames)

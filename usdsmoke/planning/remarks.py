@@ -122,6 +122,7 @@ def measured_on_part(volume: VolumePlan) -> bool:
     is_bent = optics.thicken is None or (optics.thicken > 1 and optics.knee is None)
     is_open = optics.gamma is None or optics.gamma_shape is None or is_bent
     is_open = is_open or volume.config.style.is_size_open or volume.chose_refine
+    is_open = is_open or volume.config.chooses_exposure
     return is_open and len(volume.frames) < len(volume.source.time_codes)
 
 

@@ -14,7 +14,8 @@ from usdsmoke.base.volume import CameraSource, FieldSource, FrameSource
 from usdsmoke.config.settings import Config
 from usdsmoke.core.views.frustum import frustum_of, pixel_footprint
 from usdsmoke.planning.estimate import FrameSize, estimate_run, training_seconds, visible_voxels
-from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan, named_frames
+from usdsmoke.planning.plan import FramePlan, Omission, VolumePlan, decisive_frames
+from usdsmoke.vdb.boxes import LEAST_VOXEL
 from usdsmoke.vdb.header import GridHeader
 
 MOST_REFINED = 4  # 64 times the voxels
@@ -122,12 +123,20 @@ def with_refine(volume: VolumePlan) -> VolumePlan:
     """
     if volume.config.grids.refine is not None:
         return volume
-    named = [frame for frame in named_frames(volume) if not frame.is_empty] or volume.frames
-    measured = replace(volume, frames=tuple(named))
+    measured = replace(volume, frames=tuple(decisive_frames(volume)))
     side = _picture_side(measured)
     parts = affordable_parts(volume.config, volume.sizes, measured.sizes, side)
+    parts = min(parts, _most_writable(volume))
     config = volume.config.with_values({"grids.refine": parts})
     return replace(volume, config=config, chose_refine=True)
+
+
+def _most_writable(volume: VolumePlan) -> int:
+    """How often voxels may be divided along each axis, to be as large as OpenVDB takes them."""
+    grids = [frame.grid for frame in volume.filled if frame.grid.index_to_world is not None]
+    sizes = [abs(float(np.linalg.det(np.asarray(g.index_to_world)[:3, :3]))) for g in grids]
+    parts = [(size / LEAST_VOXEL) ** (1 / 3) for size in sizes]
+    return max(int(min(parts, default=MOST_REFINED)), 1)
 
 
 def affordable_parts(
@@ -186,7 +195,7 @@ def price_of_detail(volume: VolumePlan, parts: int) -> tuple[float, float]:
 
 def _cost(volume: VolumePlan, config: Config) -> tuple[float, float]:
     """Seconds and GiB of memory that a Volume takes with other settings."""
-    most = most_visible(volume.sizes, config)
+    most = most_visible([frame.size for frame in decisive_frames(volume)], config)
     sizes = [replace(size, most_voxels=most) for size in volume.sizes]
     estimate = estimate_run(sizes, config, len(volume.styles))
     training = training_seconds(sizes, config, len(volume.styles))

@@ -313,6 +313,8 @@ def _measured(scene: Mapping[str, Any], volume: VolumePlan) -> str:
         values["optics.gamma_shape"] = scene["gamma_w_shape"] * voxel
     if scene.get("knee"):
         values |= {"optics.thicken": scene["thicken"], "optics.knee": scene["knee"]}
+    if volume.config.chooses_exposure:
+        values["optics.exposure"] = scene["stops"]
     options = " ".join(f"--set {name}={value:.6g}" for name, value in sorted(values.items()))
     return (
         f"<{volume.source.prim_path}>: opacity and stroke size were measured on these frames. "
@@ -342,6 +344,8 @@ def _draw_sheets(opened: OpenRun, tell: RunProgressCallback) -> tuple[str, ...]:
             write_contact_sheet(sheet, plan, volume, opened.reader, run.folder, scene, pictures)
         except (UsdSmokeError, ImportError) as error:  # drawing is all that torch is needed for
             warnings.append(f"no contact sheet: {error}")
+        except MemoryError:
+            warnings.append("no contact sheet: there is too little free memory to draw it")
     return tuple(warnings)
 
 

@@ -80,6 +80,8 @@ def find_changes(
         follows = piece is not None and piece[2] in FOLLOW_FRAMES
         if range_differs and (follows or (absent and name.startswith("files."))):
             continue  # a consequence
+        if follows and piece is not None and _has_other_codes(piece, names):
+            continue  # of other frames; the same frames may be as they were
         if name == _FRAMES or name.startswith("styles["):
             continue  # said already
         if ".styles[" in name and earlier.get("styles") != later.get("styles"):
@@ -94,6 +96,12 @@ def find_changes(
         if name.startswith("files.") and name in before and name in after
     )
     return Changes(tuple(words), details, range_differs, files, len(files) == len(names))
+
+
+def _has_other_codes(piece: re.Match[str], names: Sequence[str]) -> bool:
+    """Whether a digest is of frames whose timeCodes are among the differences; not that of these
+    itself."""
+    return piece[2] != "timeCodes" and f"stage.{piece[1]}.timeCodes" in names
 
 
 def _frames(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[str]:

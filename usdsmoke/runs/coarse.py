@@ -20,7 +20,7 @@ from usdsmoke.config.settings import Config
 from usdsmoke.pictures import find_style_size, refine_for_less
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
-from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask, named_frames
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask, decisive_frames
 from usdsmoke.planning.visibility import MOST_REFINED
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, network_file_name
 from usdsmoke.runs.opened import OpenRun, has_coarse_step, missing_starts
@@ -59,11 +59,11 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
         weighted, pictures, voxels = volume.with_all_weights, job.pictures(volume), scene.voxels
         size = find_style_size(pictures, voxels, weighted)
         refine = refine_for_less(pictures, voxels, weighted, size, MOST_REFINED)
-        most_voxels = max(frame.size.most_voxels for frame in volume.frames)  # measured or not
+        most_voxels = volume.frames[0].size.most_voxels  # the same for all, measured or not
         scene = dataclasses.replace(
             scene, style_size=size, style_refine=refine, most_voxels=most_voxels
         )
-        if config.colour.target == "albedo" and config.optics.exposure is None:
+        if config.chooses_exposure:
             from usdsmoke.core.steps.light_share import white_exposure
 
             if (curve := scene.thickening) is not None:
@@ -76,8 +76,7 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
 def measured_frames(volume: VolumePlan) -> list[FramePlan]:
     """Up to three frames with smoke of those that ``optics.frames`` names; of all where it names
     none of this Volume's."""
-    named = dataclasses.replace(volume, frames=tuple(named_frames(volume)))
-    return spread(named.filled) or spread(volume.filled)
+    return spread([frame for frame in decisive_frames(volume) if not frame.is_empty])
 
 
 def read_scene(run: Run, volume_number: int) -> "Scene":

@@ -13,7 +13,6 @@ from usdsmoke.base.publish import make_folders
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.base.storage import (
     clip_to_smoke,
-    prune_fields,
     round_to_half,
     storage_errors,
 )
@@ -28,7 +27,7 @@ from usdsmoke.runs.opened import OpenRun
 from usdsmoke.runs.provenance_record import frame_metadata
 from usdsmoke.runs.run import Run
 from usdsmoke.usd.look import StylizedVolume
-from usdsmoke.vdb.boxes import field_extent
+from usdsmoke.vdb.boxes import field_extent, prune_fields
 from usdsmoke.vdb.colour_grids import empty_colour_grids, make_colour_grids
 from usdsmoke.vdb.write import write_frame
 
@@ -59,8 +58,8 @@ def result_fields(
     colours = []
     if painted:
         colours = make_colour_grids(density, painted, report.extinction, config, stops)
-    half, prune = config.grids.half, config.grids.prune
-    lost = storage_errors(fields, half, prune, report.errors, kept)
+    half = config.grids.half
+    lost = storage_errors(fields, kept, half, report.errors)
     stored = round_to_half(density.values) if half else density.values
     written = int(np.count_nonzero(stored > 0))
     report = dataclasses.replace(report, errors=lost, voxels_written=written)

@@ -101,11 +101,12 @@ class FieldSamples:
             stage timeCodes a timeCode of the layer, and stage seconds a second of the layer.
         """
         rate = self._file.GetStage().GetTimeCodesPerSecond()
-        stack = self._file.GetPropertyStackWithLayerOffsets(Usd.TimeCode(time_code))
-        for spec, offset in stack:
-            if spec.HasInfo("timeSamples"):
-                scale = float(offset.scale)
-                return scale, scale * float(spec.layer.timeCodesPerSecond) / rate
+        for attribute in (self._file, *self._grid):
+            stack = attribute.GetPropertyStackWithLayerOffsets(Usd.TimeCode(time_code))
+            for spec, offset in stack:
+                if spec.HasInfo("timeSamples"):
+                    scale = float(offset.scale)
+                    return scale, scale * float(spec.layer.timeCodesPerSecond) / rate
         return 1.0, 1.0
 
     def inside(self, interval: Gf.Interval) -> tuple[FieldSample, ...]:

@@ -13,6 +13,9 @@ from usdsmoke.base.volume import DenseField
 
 Ijk = tuple[int, int, int]
 
+# Volume of a voxel, in grid world units: OpenVDB takes the transform of a smaller one for singular
+LEAST_VOXEL = 3e-15
+
 
 def check_dense_size(found: str, shape: Sequence[int], components: int, limit: int) -> None:
     """Refuse a box of voxels that is too large as a dense array of 32-bit floats.
@@ -175,3 +178,21 @@ def field_extent(
         high[1].item(),
         high[2].item(),
     )
+
+
+def prune_fields(fields: Sequence[DenseField], prune: float) -> list[DenseField]:
+    """The fields with their background wherever there is too little smoke.
+
+    Args:
+        fields: density first; the others have its transform, and may have other boxes.
+        prune: density at or below which a voxel is left out; 0 gives the fields back.
+    """
+    if prune <= 0 or fields[0].is_empty:
+        return list(fields)
+    found = []
+    for field in fields:
+        smoke = values_in_box(fields[0], field.ijk_min, field.values.shape[:3]) > prune
+        mask = smoke[..., None] if field.values.ndim == 4 else smoke
+        background = np.asarray(field.background, np.float32)
+        found.append(dataclasses.replace(field, values=np.where(mask, field.values, background)))
+    return found

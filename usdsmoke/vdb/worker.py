@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from usdsmoke.base.errors import UsdSmokeError
+from usdsmoke.base.errors import UsdSmokeError, WriteFailed
 from usdsmoke.base.machine import give_back_memory
 from usdsmoke.vdb.binding import binding_version, find_binding
-from usdsmoke.vdb.boxes import check_dense_size
+from usdsmoke.vdb.boxes import LEAST_VOXEL, check_dense_size
 
 # What the bindings raise on files and values they cannot take, over all versions.
 _BINDING_ERRORS = (ArithmeticError, KeyError, OSError, RuntimeError, TypeError, ValueError)
@@ -203,6 +203,13 @@ def _build_transform(binding: Any, index_to_world: list[list[float]]) -> Any:
     Made from the whole matrix, OpenVDB takes a scale out of it as (s + t) - t, which rounds; so the
     translation is added afterwards. The method that adds it in world space changed its name.
     """
+    size = abs(float(np.linalg.det(np.array(index_to_world)[:3, :3])))
+    if size < LEAST_VOXEL:
+        raise WriteFailed(
+            f"OpenVDB stores no voxels as small as these (volume {size:.2g}, at least "
+            f"{LEAST_VOXEL:g}). Scale the grid up, and its Volume down on the stage. If "
+            "grids.refine is set, lower it."
+        )
     linear = [[*row[:3], 0.0] for row in index_to_world[:3]] + [[0.0, 0.0, 0.0, 1.0]]
     transform = binding.createLinearTransform(linear)
     add_translation = getattr(transform, "postTranslate", None) or transform.translate

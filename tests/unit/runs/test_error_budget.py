@@ -16,13 +16,14 @@ from usdsmoke.base.frame_report import (
     TemporalErrors,
     TransportReport,
 )
-from usdsmoke.base.storage import prune_fields, storage_errors
+from usdsmoke.base.storage import storage_errors
 from usdsmoke.base.volume import DenseField
 from usdsmoke.runs.budget import ErrorBudget
 from usdsmoke.runs.budget.error_budget import make_budget
 from usdsmoke.runs.budget.rows import ROWS, ErrorRow
 from usdsmoke.runs.budget.verdicts import FINE, judge_parts
 from usdsmoke.ui.cli.budget_text import budget_text
+from usdsmoke.vdb.boxes import prune_fields
 
 FIRST = FrameReport(
     shape=StepReport(seconds=2.0, loss=(9.0, 4.0), fallen=3.0, remaining=1.0, view_spread=0.5),
@@ -136,35 +137,52 @@ def fields() -> list[DenseField]:
 
 
 def test_nothing_is_lost_in_32_bit_floats() -> None:
-    lost = storage_errors(fields(), False, 0.0)
+    lost = storage_errors(fields(), fields(), False)
     assert (lost.storage_density.value, lost.storage_emission.value) == (0, 0)
 
 
 def test_pruning_loses_the_share_of_the_thin_smoke() -> None:
     density, emission = fields()
     thin = density.values <= 0.25
-    lost = storage_errors([density, emission], False, 0.25)
+    kept = prune_fields([density, emission], 0.25)
+    lost = storage_errors([density, emission], kept, False)
     shares = [
         part.values[thin].sum(dtype=float) / part.values.sum(dtype=float)
         for part in (density, emission)
     ]
     found = [lost.storage_density.value, lost.storage_emission.value]
     assert found == pytest.approx(shares, rel=1e-6)
-    assert (prune_fields([density, emission], 0.25)[1].values[thin] == 0).all()
+    assert (kept[1].values[thin] == 0).all()
+
+
+def test_fields_are_pruned_by_the_smoke_at_their_own_voxels() -> None:
+    """Fields that were read from a file have the boxes of their own active voxels."""
+    density = np.array([0.01, 0.9, 0.01, 0.9], np.float32).reshape(4, 1, 1)
+    ones = np.ones((4, 1, 1, 3), np.float32)
+    fields = [
+        DenseField("density", density, (0, 0, 0), np.eye(4)),
+        DenseField("emission", ones, (1, 0, 0), np.eye(4), (0.0, 0.0, 0.0)),
+        DenseField("scattering", ones[:2], (2, 0, 0), np.eye(4), (0.0, 0.0, 0.0)),
+        DenseField("empty", ones[:0], (0, 0, 0), np.eye(4), (0.0, 0.0, 0.0)),
+    ]
+    kept = prune_fields(fields, 0.5)
+    assert kept[1].values[:, 0, 0, 0].tolist() == [1, 0, 1, 0]  # voxels 1 to 4
+    assert kept[2].values[:, 0, 0, 0].tolist() == [0, 1]  # voxels 2 and 3
+    assert kept[3].is_empty
 
 
 def test_half_floats_lose_a_quarter_of_their_unit_on_average() -> None:
-    lost = storage_errors(fields()[:1], True, 0.0)
+    lost = storage_errors(fields()[:1], fields()[:1], True)
     # numbers are off by at most half of their last of 11 bits, evenly spread: 2^-13 to 2^-14
     assert 2**-14 < lost.storage_density.value * 1.5 < 2**-12
 
 
 def test_what_half_floats_cannot_hold_is_lost_altogether() -> None:
     faint = DenseField("density", np.full((2, 2, 2), 1e-9, np.float32), (0, 0, 0), np.eye(4))
-    assert storage_errors([faint], True, 0.0).storage_density.value == 1.0
+    assert storage_errors([faint], [faint], True).storage_density.value == 1.0
 
 
 def test_an_empty_field_loses_nothing() -> None:
     empty = DenseField("density", np.zeros((0, 0, 0), np.float32), (0, 0, 0), np.eye(4))
-    lost = storage_errors([empty], True, 0.1)
+    lost = storage_errors([empty], [empty], True)
     assert lost.storage_density.value == 0

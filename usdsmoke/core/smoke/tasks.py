@@ -29,9 +29,8 @@ def share_among(n_threads: int) -> None:
     """Set the number of threads that tasks of this process are shared among; at least 1."""
     global _helpers, _n_threads
     _switch_off_torchs_own()
-    if n_threads != _n_threads and _helpers is not None:
-        _helpers.shutdown()
-        _helpers = None
+    if n_threads != _n_threads:
+        _helpers = None  # they end by themselves; another thread may be handing them a task
     _n_threads = n_threads
 
 
@@ -152,15 +151,13 @@ def made_ahead(items: Iterator[Result]) -> Iterator[Result]:
 
 def _executor() -> ThreadPoolExecutor:
     global _helpers, _helpers_know_torch
-    if _helpers is not None and _loaded_torch() is not None and not _helpers_know_torch:
-        _helpers.shutdown()
-        _helpers = None
-    if _helpers is None:
+    helpers = _helpers
+    if helpers is None or (_loaded_torch() is not None and not _helpers_know_torch):
         _helpers_know_torch = _loaded_torch() is not None
-        _helpers = ThreadPoolExecutor(
-            _n_threads - 1, "usdsmoke", initializer=_switch_off_torchs_own
+        helpers = _helpers = ThreadPoolExecutor(
+            max(_n_threads - 1, 1), "usdsmoke", initializer=_switch_off_torchs_own
         )
-    return _helpers
+    return helpers
 
 
 def _loaded_torch() -> Any:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -94,7 +95,8 @@ def _advised(stops: float, factor: float) -> float | None:
 
 
 def white_exposure(frames: Sequence[VolumeFrame], config: Config, scene: Scene) -> float:
-    """The exposure in stops at which white smoke in the light is white; 0 without light.
+    """The exposure in stops at which white smoke in the light is white, seen through the frames'
+    cameras; 0 without light.
 
     Where that is beyond what ``optics.exposure`` takes, the nearest that it does.
 
@@ -110,7 +112,7 @@ def white_exposure(frames: Sequence[VolumeFrame], config: Config, scene: Scene) 
         if lighting is None:
             continue
         octave = coarsen(bounded(smoke))
-        views = _views(octave, scene, config, lighting, None)
+        views = _views(octave, replace(scene, camera=frame.camera), config, lighting, None)
         brightness = _brightness(views, _lit(views, octave))
         if len(brightness) and (lit := float(brightness.quantile(_LIT))) > 0:
             found.append(-math.log2(lit))

@@ -182,12 +182,13 @@ def lit_emission(
     light = lighting.on(positions).scattered(forward) * (gamma_w * smoke.density)[:, None]
     if colour is not None:
         light = light * torch.from_numpy(_values_at(colour, smoke.ijk.numpy()))
-    low = np.minimum(density.ijk_min, emission.ijk_min)
-    high = np.maximum(*(np.add(f.ijk_min, f.values.shape[:3]) for f in (density, emission)))
+    boxes = [field for field in (density, emission) if not field.is_empty]
+    low = np.min([field.ijk_min for field in boxes], axis=0)
+    high = np.max([np.add(field.ijk_min, field.values.shape[:3]) for field in boxes], axis=0)
     values = np.zeros((*(high - low), 3), np.float32)
-    first = np.subtract(emission.ijk_min, low)
-    there = tuple(slice(a, a + n) for a, n in zip(first, emission.values.shape[:3], strict=True))
-    values[there] = emission.values
+    if not emission.is_empty:
+        first, shape = np.subtract(emission.ijk_min, low), emission.values.shape[:3]
+        values[tuple(slice(a, a + n) for a, n in zip(first, shape, strict=True))] = emission.values
     values[tuple((smoke.ijk.numpy() - low).T)] += light.numpy()
     return replace(emission, values=values, ijk_min=tuple(low.tolist()))
 

@@ -65,7 +65,7 @@ class Scene:
     style_size: float = 1.0  # size of the style, if ``style.size`` is unset
     style_refine: int = 0  # ``grids.refine`` with which that would be less; 0: none is known
     # Visible voxels of the largest frame, refined: they decide what the shape step moves, in all
-    # frames alike. Of those that are measured, or by the plan of all
+    # frames alike. In a run they are the plan's, of the frames that ``optics.frames`` names or all
     most_voxels: int = 0
     is_coarse_step: bool = False  # whose finest octave is a coarse one of the windows
 

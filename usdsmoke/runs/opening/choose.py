@@ -165,8 +165,8 @@ def join_run(
                 if run is None:
                     run = _choose_run(job, identity, alone=False, growth=growth)
                     opened = OpenRun(run, with_settled(job, run), lock)
-                    opened.begin()
                     _take_over(opened, growth)
+                    opened.begin()
         doing = "the coarse step" if task is None else f"window {task.number}"
         opened = OpenRun(run, with_settled(job, run), lock, task=doing)
         with _tidy_end(opened):
