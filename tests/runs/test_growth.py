@@ -86,7 +86,8 @@ def test_a_look_grows_at_both_ends_and_more_than_once(long_shot: Shot) -> None:
 
 
 def test_a_look_grows_as_windows_of_a_farm(long_shot: Shot, core: FakeCore) -> None:
-    run(long_shot, *WINDOWS, "stage.frames=1-8")
+    earlier = run(long_shot, *WINDOWS, "stage.frames=1-8")
+    (first,) = find_records(earlier.look_layer)
     core.stylized.clear()
     settings = (*WINDOWS, "stage.frames=1-12")
     request = Request(long_shot.stage, long_shot.style, long_shot.output, settings)
@@ -94,6 +95,10 @@ def test_a_look_grows_as_windows_of_a_farm(long_shot: Shot, core: FakeCore) -> N
     assert [task.was_done for task in done] == [False, True, False, False, False, True]
     result = assemble(long_shot.output)
     assert contents(result.root_stage) == made_at_once(long_shot, "1-12", "1-8")
+    (found,) = find_records(result.look_layer)
+    assert found.record.grown_from == (first.record.run,)
+    (kept,) = find_records(result.frames[0])
+    assert kept.file == result.look_layer
     with pytest.raises(OutputExists, match="already holds"):
         run(long_shot, *settings)
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from pxr import Usd, UsdVol
 
-from tests.fixtures.grids_fixtures import openvdb
+from tests.fixtures.grids_fixtures import openvdb, raw_grid
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run, values_of
 from tests.fixtures.usd_fixtures import (
     density_prim,
@@ -209,6 +209,21 @@ def test_a_field_that_16_bit_floats_cannot_hold_is_refused_before_the_run(
         run(fire, "layer.copy_fields=[heat]", "grids.half=true")
     assert not core.stylized
     assert run(fire, "grids.half=true").frames
+
+
+@pytest.mark.parametrize("setting", ["layer.compact_velocity=true", "grids.half=true"])
+@pytest.mark.parametrize("speed", [7e4, 2e-8])
+def test_a_velocity_that_16_bit_floats_cannot_hold_is_refused_before_the_run(
+    tmp_path: Path, core: FakeCore, setting: str, speed: float
+) -> None:
+    shot = make_shot(tmp_path / "shot", n_frames=1)
+    wind = raw_grid(np.full((4, 4, 4, 3), speed), "vel", grid_class="unknown")
+    file_path = shot.stage.parent / "cache/smoke.0001.vdb"
+    openvdb().write(str(file_path), grids=[raw_grid(np.ones((4, 4, 4))), wind])
+    with pytest.raises(ConfigError, match="vel"):
+        run(shot, "layer.copy_velocity=true", setting)
+    assert not core.stylized
+    assert run(shot, "layer.copy_velocity=false", setting).frames
 
 
 def test_frames_outside_the_range_have_the_boxes_of_their_files(tmp_path: Path) -> None:

@@ -51,8 +51,8 @@ def decode(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
     where = Path(request["file_path"])
     try:
         with OpenEXR.File(str(where), header_only=True) as image:
-            header = image.header()
-            low, high = header["dataWindow"]
+            low, high = image.header()["dataWindow"]
+            primaries = [float(number) for number in image.header().get("chromaticities") or ()]
         width, height = (int(b) - int(a) + 1 for a, b in zip(low, high, strict=True))
         check_size(where, width, height, request["most_pixels"])
         with OpenEXR.File(str(where), separate_channels=True) as image:
@@ -60,7 +60,6 @@ def decode(request: Mapping[str, Any], folder: Path) -> tuple[Any, int]:
             read = [name for name in WANTED if name in channels]
             for number, name in enumerate(read):
                 np.save(folder / f"out{number}.npy", np.asarray(channels[name].pixels, np.float32))
-            primaries = [float(number) for number in header.get("chromaticities") or ()]
             answer = {"names": list(channels), "read": read, "chromaticities": primaries}
             return answer, len(read)
     except _ERRORS as error:

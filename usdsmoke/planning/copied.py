@@ -1,8 +1,10 @@
 """Other fields and grids of a Volume that go into the result's files."""
 
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from usdsmoke.base.errors import ConfigError, GridError
 from usdsmoke.base.volume import FieldSource, FrameSource, VolumeSource, is_same_transform
@@ -36,6 +38,30 @@ class CopiedGrid:
 
 
 Copies = tuple[CopiedGrid, ...]
+
+
+class GridSizes(NamedTuple):
+    """The size of grids that are read beside the density."""
+
+    values: int = 0  # numbers in their active voxels
+    dense: int = 0  # numbers in their boxes
+    box: int = 0  # voxels of the largest of these
+
+
+def size_beside(velocity: VelocitySource | None, others: Copies) -> GridSizes:
+    """The size of a velocity, one grid or three, and of other grids."""
+    grids = [] if velocity is None else [(g, 3 // len(velocity.grids)) for g in velocity.grids]
+    return _sizes([*grids, *((copy.grid, copy.components) for copy in others)])
+
+
+def _sizes(grids: Sequence[tuple[GridHeader, int]]) -> GridSizes:
+    """Of grids and their numbers in a voxel; where a header does not count, of the whole box."""
+    boxes = [math.prod(grid.box_shape or (0, 0, 0)) for grid, _ in grids]
+    values = dense = 0
+    for (grid, components), box in zip(grids, boxes, strict=True):
+        values += components * (box if grid.active_voxels is None else grid.active_voxels)
+        dense += components * box
+    return GridSizes(values, dense, max(boxes, default=0))
 
 
 def find_copies(

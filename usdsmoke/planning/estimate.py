@@ -1,14 +1,14 @@
 """The cost of a run in memory, time and disk, estimated from voxel counts and settings.
 
-All formulae and their constants are in this file. N is the number of active voxels and B that of
-the box (both after refinement), M the voxels of the mask's box (which is not refined), P the pixels
-of a picture, L the views in the pool, V those an iteration draws, S the style images, and s an
-octave's linear resolution as a share of the full one. J is N with blocks of voxels counted as one
-where a pixel holds them. In ``work``, N, B and P are the visible ones, and such blocks count as
-one, also those that the shape step moves:
+N is the number of active voxels and B that of the box (both after refinement), M the voxels of the
+mask's box and R those by which the largest box of a velocity or copied grid exceeds the density's
+(which are not refined), P the pixels of a picture, L the views in the pool, V those an iteration
+draws, S the style images, and s an octave's linear resolution as a share of the full one. J is N
+with blocks of voxels counted as one where a pixel holds them. In ``work``, N, B and P are the
+visible ones, and such blocks count as one, also those that the shape step moves:
 
-    memory  = BASE + B BOX_BYTES + M MASK_BYTES + N FINE_BYTES + J (VOXEL_BYTES + L VIEW_BYTES) +
-                  PIXEL_BYTES P V
+    memory  = BASE + B BOX_BYTES + M MASK_BYTES + R READ_BYTES + N FINE_BYTES +
+                  J (VOXEL_BYTES + L VIEW_BYTES) + PIXEL_BYTES P V
     work    = sum over steps and octaves of
                   (min(L, n V) VIEW_TIME N + MAP_TIME N + BOX_TIME B) s^3 +
                   n (ITERATION + V (S PIXEL_TIME P s^2 + VOXEL_TIME N s^3) + MOVE_TIME N s^3)
@@ -20,12 +20,11 @@ one, also those that the shape step moves:
     bytes   = sum over frames of (FILE_BYTES + N bytes per value x values per voxel x TREE)
 
 Where a frame starts from its neighbour, two checkpoints of KEPT_BYTES N + KEPT_BOX_BYTES B (with a
-shape step) add to the bytes: a new one is written beside the old.
-Frames in an overlap of windows take twice the time, and two more files of 32-bit floats. The coarse
-step, if there is one, costs the work of the octaves up to its share of the resolution; windows then
-start above it. A frame that starts from its neighbour (a warm one) has the finest octave only.
-Frames that are not optimised, or that a network alone paints, have FRAME and FILE_TIME and no work;
-in ``seconds``, s is 1 but in the coarse step.
+shape step) add to the bytes. Frames in an overlap of windows take twice the time, and two more
+files of 32-bit floats. The coarse step, if there is one, costs the work of the octaves up to its
+share of the resolution; windows then start above it. A frame that starts from its neighbour (a warm
+one) has the finest octave only. Frames that are not optimised, or that a network alone paints, have
+FRAME and FILE_TIME and no work; in ``seconds``, s is 1 but in the coarse step.
 
 Training is that of a network in the run (``optimize.start``), in n iterations on frames or crops of
 C voxels in V' pictures of P' pixels (``training_parts``); it adds LEARN_BYTES N to the memory. The
@@ -35,12 +34,11 @@ MAP_TIME, BOX_TIME, MOVE_TIME and BOX_BYTES_SHAPE apply to the shape step only. 
 laid out on the whole box, once per octave, and its iterations move the smoke. FINISH_TIME is the
 sum of SHEET_TIME, TRANSPORT_TIME with a shape step, and ESTIMATE_TIME with an error budget.
 
-Three frames are in memory at a time, one of them at work. Memory is that of the largest at work;
-what the other two hold, their fields and results, is part of BOX_BYTES_WARM. The constants of time
-are fitted to a server's processor, for plumes of 31 thousand to a million voxels and sequences of
-four frames: CPU seconds of one thread were met within a factor of 1.2, wall seconds of two threads
-within 1.4, also of twelve frames. Other processors and busy machines differ more. The memory is an
-upper bound.
+Three frames are in memory at a time, one of them at work. Memory is that of the largest at work, an
+upper bound; what the other two hold is part of BOX_BYTES_WARM. The constants of time are fitted to
+a server's processor, for plumes of 31 thousand to a million voxels and sequences of four frames:
+CPU seconds of one thread were met within a factor of 1.2, wall seconds of two threads within 1.4,
+also of twelve frames. Other processors and busy machines differ more.
 """
 
 import math
@@ -75,6 +73,7 @@ BOX_BYTES = 48  # density before and after, RGB, and one temporary array
 BOX_BYTES_COLOUR = 8  # of each number beside the emission: written, and read back
 BOX_BYTES_SHAPE = 110  # effect, potential and displacement, and the arrays of the transport
 BOX_BYTES_WARM = 90  # velocity, also in voxels per second; displacements of the frames beside it
+READ_BYTES = 64  # of a larger box beside the density's: as read, checked, hashed and written
 MASK_BYTES = 16  # as read, checked, clamped to [0, 1] and on the device
 FINE_BYTES = 60  # of a voxel that is written: its place, its colour, the voxels beside it
 VOXEL_BYTES = 700  # positions, unknowns with gradients and moments, maps between their levels
@@ -102,7 +101,6 @@ LEARN_TIME = 3.2e-6
 KEPT_BYTES, KEPT_BOX_BYTES = 65, 12  # of a checkpoint, which a window goes on from
 COARSE_BYTES = 44  # of a coarse voxel: displacement and colours, also as the next frame takes them
 GAIN = 0.40  # n threads, up to MOST_THREADS, are n ** GAIN times as fast
-
 FILE_BYTES = 60_000  # header and tree of a file with little in it
 TREE = 1.3  # masks and nodes beside the values
 
@@ -114,8 +112,9 @@ class FrameSize:
     active_voxels: int
     box: tuple[int, int, int]  # voxels along i, j, k; (0, 0, 0) when empty
     window_start: bool = True  # False: it starts from its neighbour's result
-    n_copied: int = 0  # values per voxel that are copied to the result: the velocity's 3, others'
-    n_moved: int = 0  # of these, those that move with the density
+    copied_values: int = 0  # numbers of the velocity and other grids that are copied to the result
+    moved_values: int = 0  # of these, those that move with the density
+    read_box: int = 0  # voxels of the largest box of these and of the velocity that is followed
     mask_box: tuple[int, int, int] = (0, 0, 0)  # voxels of the mask; (0, 0, 0) without one
     visible: float = 1.0  # share of the box that the shot's camera sees
     computed: bool | None = None  # True if it is optimised; None: as optimize.strength implies
@@ -157,7 +156,7 @@ def estimate_run(
         coarse: the frames of the shared coarse step; ``window_start`` is that of its chains.
         has_starts: frames start from such a step also where ``coarse`` is empty: it is done.
     """
-    again = [replace(frame, window_start=False, n_copied=0) for frame in twice]
+    again = [replace(frame, window_start=False, copied_values=0) for frame in twice]
     is_shared = has_starts or bool(coarse)
     finest = 1.0 / coarse_factor(config) if is_shared else 1.0
     above = (finest if is_shared else 0.0, 1.0)
@@ -212,12 +211,13 @@ def written_bytes(
     finest = 1.0 / coarse_factor(config) if coarse else 1.0
     goes_on = any(not frame.window_start for frame in (*frames, *parts))
     sizes = [_refined(frame, config) for frame in (*frames, *parts) if goes_on]
+    versions = [replace(frame, copied_values=frame.moved_values) for frame in parts]
     box_bytes = KEPT_BOX_BYTES if "shape" in config.optimize.steps else 0
     kept = [KEPT_BYTES * active + box_bytes * box for active, box in sizes]
     return (
         sum(_frame_bytes(frame, config) for frame in frames)
         + 2 * max(kept, default=0)
-        + sum(_frame_bytes(replace(frame, n_copied=frame.n_moved), plain) for frame in parts)
+        + sum(_frame_bytes(frame, plain) for frame in versions)
         + sum(round(finest**3 * sum(_refined(f, config)) * COARSE_BYTES) for f in coarse)
     )
 
@@ -316,9 +316,10 @@ def _frame_memory(frame: FrameSize, config: Config) -> float:
     per_voxel = VOXEL_BYTES + pool_size(config.views) * VIEW_BYTES
     pictures = PIXEL_BYTES * _picture_pixels(frame, config) * config.views.count
     training = LEARN_BYTES * active if config.optimize.trains else 0
-    mask = MASK_BYTES * math.prod(frame.mask_box)
+    beside = MASK_BYTES * math.prod(frame.mask_box)
+    beside += READ_BYTES * max(frame.read_box - math.prod(frame.box), 0)
     fine = active * FINE_BYTES + active / _joined(frame, config) * per_voxel
-    return BASE + per_box_voxel * box + mask + fine + pictures + training
+    return BASE + per_box_voxel * box + beside + fine + pictures + training
 
 
 def _frame_seconds(
@@ -388,8 +389,7 @@ def _frame_bytes(frame: FrameSize, config: Config) -> int:
     # a frame without an effect keeps the voxels of its source
     active = _refined(frame, config)[0] if _is_optimized(frame, config) else frame.active_voxels
     values, per_value = 1 + _colour_values(config), TREE * (2 if config.grids.half else 4)
-    copied = frame.n_copied * frame.active_voxels  # never refined
-    return round(FILE_BYTES + (active * values + copied) * per_value)
+    return round(FILE_BYTES + (active * values + frame.copied_values) * per_value)
 
 
 def _colour_values(config: Config) -> int:

@@ -22,7 +22,7 @@ from usdsmoke.core.sequence.controls import (
     step_iterations,
     without_network,
 )
-from usdsmoke.planning.copied import CopiedGrid, find_copies, unnamed_velocities
+from usdsmoke.planning.copied import CopiedGrid, find_copies, size_beside, unnamed_velocities
 from usdsmoke.planning.estimate import (
     CostEstimate,
     FrameSize,
@@ -199,13 +199,8 @@ def _estimate(
 
 def _decoded_bytes(frame: FramePlan) -> int:
     """Of a frame's source grids as dense arrays: density, velocity and mask."""
-    velocity = frame.velocity or frame.copied
-    grids = () if velocity is None else velocity.grids
-    boxes = [grid.box_shape or (0, 0, 0) for grid in grids for _ in range(3 // len(grids))]
-    boxes += [
-        grid.grid.box_shape or (0, 0, 0) for grid in frame.others for _ in range(grid.components)
-    ]
-    return 4 * sum(map(math.prod, (frame.size.box, frame.size.mask_box, *boxes)))
+    beside = size_beside(frame.velocity or frame.copied, frame.others).dense
+    return 4 * (math.prod(frame.size.box) + math.prod(frame.size.mask_box) + beside)
 
 
 def check_plan(plan: Plan, output: Path | None = None) -> None:
@@ -339,9 +334,12 @@ def _left_beside(
 
 def _with_copies(frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: bool) -> FramePlan:
     """The frame with other grids that are copied into its file."""
-    n_others = sum(grid.components for grid in grids)
-    n_copied = frame.size.n_copied + n_others
-    size = replace(frame.size, n_copied=n_copied, n_moved=n_others if are_moved else 0)
+    size = replace(
+        frame.size,
+        copied_values=size_beside(frame.copied, grids).values,
+        moved_values=size_beside(None, grids).values if are_moved else 0,
+        read_box=size_beside(frame.velocity or frame.copied, grids).box,
+    )
     return replace(frame, others=grids, size=size)
 
 
@@ -370,7 +368,6 @@ def _plan_frame(
     size = FrameSize(
         *grid_size(density.file_path, grid),
         window_start=place.is_start,
-        n_copied=0 if copied is None else 3,
         visible=visible_share(frame, density, grid, config),
         computed=place.is_computed,
         edges=voxel_edges(grid),

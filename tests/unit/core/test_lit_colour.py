@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.fixtures.camera_fixtures import looking
 from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, run_core, scene_of
 from usdsmoke.base.volume import CameraSource, DenseField, LightSource, Scattering, VolumeFrame
@@ -13,7 +14,8 @@ from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.steps.light_share import white_exposure
-from usdsmoke.core.views.lighting import light_smoke
+from usdsmoke.core.views.cameras import orbit_view
+from usdsmoke.core.views.lighting import light_smoke, lit_emission
 from usdsmoke.runs.budget.findings import find_frame
 
 SUN = LightSource("/sun", (9.0, 9.0, 9.0), (0.0, 0.6, 0.8))
@@ -156,6 +158,34 @@ def test_a_chosen_exposure_is_within_the_limits_of_the_setting() -> None:
     config = quick_config(colour={"target": "albedo"})
     frame = replace(frame_of(puff(12)), lights=(DIM_SKY,))
     assert white_exposure([frame], config, scene_of([frame], config)) == MOST_STOPS
+
+
+def test_a_chosen_exposure_is_of_what_the_camera_sees() -> None:
+    """Forward scattering: smoke is bright against the sun, and dark from where the sun is."""
+    config = quick_config(
+        colour={"target": "albedo"}, optics={"anisotropy": 0.6}, views={"camera": "/camera"}
+    )
+    frame = replace(frame_of(puff(12)), lights=(replace(SUN, towards=(0.0, 0.0, 1.0)),))
+    scene = scene_of([frame], config)
+    with_sun, against = (
+        white_exposure([replace(frame, camera=looking((6, 6, z), (6, 6, 6)))], config, scene)
+        for z in (60, -48)
+    )
+    assert with_sun > against + 3
+
+
+def test_light_alone_is_drawn_where_a_frame_has_no_emission() -> None:
+    frame = frame_of(puff(12))
+    density = replace(frame.density, ijk_min=(900, 900, 900))
+    empty = DenseField(
+        "emission", np.zeros((0, 0, 0, 3), np.float32), (0, 0, 0), np.eye(4), (0.0, 0.0, 0.0)
+    )
+    view = orbit_view(0.0, 0.0, "Y", np.full(3, 906.0), 16, 16, 1.0)
+    scattering = Scattering((SUN,), 0.5)
+    found = lit_emission(density, (empty, None), np.eye(4), 1.0, scattering, view)
+    alone = lit_emission(density, (None, None), np.eye(4), 1.0, scattering, view)
+    assert found.ijk_min == density.ijk_min and found.values.shape[:3] == density.values.shape
+    assert found.values.max() > 0 and np.array_equal(found.values, alone.values)
 
 
 def test_with_both_what_light_cannot_give_is_emitted_and_the_picture_needs_no_light() -> None:

@@ -206,6 +206,24 @@ def test_exr_is_linear_light_that_gets_clipped_and_encoded(tmp_path: Path) -> No
     assert style.pixels[0, 0].tolist() == pytest.approx([0.0, 1.0, 0.5], abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("primaries", "is_told"),
+    [
+        ((0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329), False),
+        ((0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767), True),  # ACEScg
+    ],
+)
+def test_an_exr_of_other_primaries_is_read_with_a_note(
+    tmp_path: Path, primaries: tuple[float, ...], is_told: bool
+) -> None:
+    file_path = tmp_path / "a.exr"
+    with OpenEXR.File({"chromaticities": primaries}, rgb_channels(LINEAR)) as image:
+        image.write(str(file_path))
+    style = read_style_image(file_path)
+    assert style.pixels == pytest.approx(encode_srgb(LINEAR), abs=1e-6)
+    assert ("Rec.709" in style.note) is is_told
+
+
 def test_exr_is_known_by_its_first_bytes_and_half_is_read(tmp_path: Path) -> None:
     save_exr(tmp_path / "a.exr", rgb_channels(LINEAR.astype(np.float16)))
     os.rename(tmp_path / "a.exr", tmp_path / "a.png")

@@ -85,7 +85,7 @@ def test_half_floats_and_no_colour_take_less_disk() -> None:
 
 
 def test_a_copied_velocity_is_three_more_values_a_voxel() -> None:
-    sizes = [FRAME, dataclasses.replace(FRAME, n_copied=3)]
+    sizes = [FRAME, dataclasses.replace(FRAME, copied_values=3 * FRAME.active_voxels)]
     alone, beside = (estimate_run([size], Config()).bytes_written - 60_000 for size in sizes)
     assert beside == pytest.approx(alone * 7 / 4)
 
@@ -300,7 +300,8 @@ def test_a_coarse_start_is_as_large_as_one_that_was_written() -> None:
 def test_memory_of_frames_that_follow_each_other_is_above_what_was_measured_too() -> None:
     """Four frames of a plume in a box of 192^3, 6 % of it smoke: they peaked at 2.4 GiB."""
     frames = [
-        FrameSize(417_000, (192, 192, 192), window_start=n == 0, n_copied=3) for n in range(4)
+        FrameSize(417_000, (192, 192, 192), window_start=n == 0, copied_values=1_251_000)
+        for n in range(4)
     ]
     found = estimate_run(frames, Config(), threads=2)
     assert 2.4 < found.memory_gib < 4.8

@@ -79,6 +79,26 @@ def test_no_frame_gets_too_many_voxels_whichever_are_measured(tmp_path: Path) ->
     assert parts_of(plan_of(shot, "stage.frames=1", "optics.frames=1")) == 3
 
 
+def test_no_voxel_gets_too_small_for_openvdb(tmp_path: Path) -> None:
+    shot = make_shot(tmp_path, n_frames=1)
+    for size, parts in ((1e-3, 4), (3e-5, 2), (2e-5, 1)):
+        smoke = raw_grid(np.ones((20, 6, 6)), matrix=np.diag([size, size, size, 1.0]))
+        write_raw(shot.stage.parent / "cache/smoke.0001.vdb", smoke)
+        assert parts_of(plan_of(shot)) == parts
+
+
+def test_named_frames_tell_whether_voxels_or_blocks_move(tmp_path: Path) -> None:
+    """A grown look keeps this number, and its record names the frames of the first run."""
+    shot = shot_of(tmp_path, (150, 10, 10), (150, 40, 40))
+    for settings, most in (
+        ((), 240_000),
+        (("optics.frames=1",), 15_000),
+        (("optics.frames=9",), 240_000),
+    ):
+        (volume,) = plan_of(shot, *settings).volumes
+        assert [size.most_voxels for size in volume.sizes] == [most] * 2
+
+
 def test_named_frames_without_smoke_tell_nothing(tmp_path: Path) -> None:
     shot = shot_of(tmp_path, (70, 6, 6), (109, 6, 6))
     write_raw(shot.stage.parent / "cache/smoke.0001.vdb", raw_grid(np.zeros((0, 0, 0))))

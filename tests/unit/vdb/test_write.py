@@ -76,7 +76,7 @@ def test_grids_need_names_of_their_own(tmp_path: Path, names: tuple[str, ...]) -
 
 def test_voxel_size_that_openvdb_cannot_hold_is_named(tmp_path: Path) -> None:
     field = make_field(index_to_world=np.diag([1e-9, 1e-9, 1e-9, 1.0]))
-    with pytest.raises(WriteFailed, match=r"cannot write a\.vdb.*OpenVDB says: .*singular"):
+    with pytest.raises(WriteFailed, match=r"OpenVDB.* 1e-27"):
         write_frame(tmp_path / "a.vdb", [field], {}, half=False)
     assert os.listdir(tmp_path) == []
 

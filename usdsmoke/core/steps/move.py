@@ -171,10 +171,8 @@ def move_density(
         if share is not None:  # a sum of two parts has round-off
             result = torch.where(share > 0, result, whole)
     values, low = result.cpu().numpy(), lattice.low
-    changed = share > 0 if is_part and share is not None else None
-    if changed is None and density.background:  # which lies around the smoke, and not 0
-        changed = (whole > 0) | (result > 0)
-    if changed is not None:
+    changed = share > 0 if is_part and share is not None else (whole > 0) | (result > 0)
+    if is_part or density.background:
         values, low = _among_the_rest(density, values, low, changed.cpu().numpy())
     report = TransportReport(
         largest_displacement=largest,
