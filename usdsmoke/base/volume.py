@@ -267,6 +267,14 @@ class DenseField:
         """True when the grid has no active voxel box at all."""
         return self.values.size == 0
 
+    def at(self, ijk: np.ndarray) -> np.ndarray:
+        """Values [N] or [N C] at indices [N 3]; 0 outside the box."""
+        index = ijk - np.asarray(self.ijk_min)
+        inside = ((index >= 0) & (index < self.values.shape[:3])).all(axis=1)
+        found = np.zeros((len(index), *self.values.shape[3:]), np.float32)
+        found[inside] = self.values[tuple(index[inside].T)]
+        return found
+
 
 @dataclass(frozen=True)
 class VolumeFrame:

@@ -186,7 +186,7 @@ def _draw(
     emitted = _per_extinction(look, smoke.ijk.numpy())
     albedo = torch.ones(len(smoke.ijk), 3)
     if look.colour is not None:
-        albedo = torch.from_numpy(_at(look.colour, smoke.ijk.numpy()))
+        albedo = torch.from_numpy(look.colour.at(smoke.ijk.numpy()))
     traced = TracedSmoke(
         look.placed(look.density), look.gamma_w, look.scattering,
         None if look.colour is None else look.placed(look.colour),
@@ -233,8 +233,8 @@ def _per_extinction(look: _Look, ijk: np.ndarray) -> "Tensor":
     if look.emission is None:
         return torch.zeros(len(ijk), 3)
     emission = absolute_emission(look.density, look.emission, look.volume.emission_mode)
-    values = _at(emission, ijk) * look.volume.rescale
-    sigma = look.gamma_w * _at(look.density, ijk)
+    values = emission.at(ijk) * look.volume.rescale
+    sigma = look.gamma_w * look.density.at(ijk)
     return torch.from_numpy(values / np.maximum(sigma, np.finfo(np.float32).tiny)[:, None])
 
 
@@ -243,15 +243,6 @@ def _filled(look: _Look, ijk: np.ndarray, values: np.ndarray) -> DenseField:
     field = np.zeros((*look.density.values.shape, 3), np.float32)
     field[tuple((ijk - look.density.ijk_min).T)] = values
     return look.placed(replace(look.density, values=field, background=(0.0, 0.0, 0.0)))
-
-
-def _at(field: DenseField, ijk: np.ndarray) -> np.ndarray:
-    """Values at indices [N 3]; 0 outside."""
-    index = ijk - np.asarray(field.ijk_min)
-    inside = ((index >= 0) & (index < field.values.shape[:3])).all(axis=1)
-    values = np.zeros((len(index), *field.values.shape[3:]), np.float32)
-    values[inside] = field.values[tuple(index[inside].T)]
-    return values
 
 
 def _enlarged(picture: np.ndarray) -> np.ndarray:

@@ -289,7 +289,7 @@ def _painted(
         light = torch.from_numpy(values).to(smoke.density)
         linear = light / (case.small_scene.gamma_w * smoke.density)[:, None]
         return smoke, encode_srgb(linear).clamp(0, 1)
-    before, after = (_values_at(field, smoke) for field in (source.density, found.density))
+    before, after = (field.at(smoke.ijk.cpu().numpy()) for field in (source.density, found.density))
     change = torch.from_numpy((after - before) / max(float(source.density.values.max()), 1e-30))
     return smoke, change[:, None].to(smoke.density)
 
@@ -309,14 +309,6 @@ def _union(source: VolumeFrame, found: "StylizedFrame") -> DenseField:
     ijk_min, shape = union_box(fields)
     both = [values_in_box(field, ijk_min, shape) for field in fields]
     return replace(found.density, values=np.maximum(*both).clip(0), ijk_min=ijk_min)
-
-
-def _values_at(field: DenseField, smoke: "ActiveSmoke") -> np.ndarray:
-    index = smoke.ijk.cpu().numpy() - np.asarray(field.ijk_min)
-    inside = ((index >= 0) & (index < field.values.shape)).all(axis=1)
-    values = np.zeros(len(index), np.float32)
-    values[inside] = field.values[tuple(index[inside].T)]
-    return values
 
 
 WINDOWS = (

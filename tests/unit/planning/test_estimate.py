@@ -90,6 +90,15 @@ def test_a_copied_velocity_is_three_more_values_a_voxel() -> None:
     assert beside == pytest.approx(alone * 7 / 4)
 
 
+def test_a_velocity_in_a_larger_box_takes_memory_of_its_own() -> None:
+    """16^3 voxels of density and 256^3 of velocity, two frames: they peaked at 1.62 GiB."""
+    small = FrameSize(1_000, (16, 16, 16))
+    beside = dataclasses.replace(small, read_box=256**3, copied_values=3 * 256**3)
+    plain, found = (estimate_run([size], Config()) for size in (small, beside))
+    assert 1.62 < found.memory_gib < 2 * 1.62 and plain.memory_gib < 0.8
+    assert found.bytes_written > 3 * 4 * 256**3
+
+
 def test_every_further_colour_is_more_values_a_voxel() -> None:
     plain = (estimate().bytes_written - 60_000) / 4  # density and three of the emission
     for settings, values in (

@@ -194,6 +194,12 @@ def test_an_instance_proxy_is_refused_with_its_source(tmp_path):
     refuse(tmp_path, outside, StageError, reason, prims=["/World/smoke"])
 
 
+def test_a_level_set_is_not_proposed_as_the_density(tmp_path):
+    surface = density_prim(DEFAULT, "ball").replace("fogVolume", "levelSet")
+    body = volume_prim(surface, relations="rel field:ball = </World/smoke/ball>")
+    refuse(tmp_path, body, FieldNotFound, r"field:ball\).*level set(?!.*stage\.density)")
+
+
 @pytest.mark.parametrize(
     ("relations", "reason"),
     [

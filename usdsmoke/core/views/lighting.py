@@ -181,7 +181,8 @@ def lit_emission(
         forward = forward / np.linalg.norm(forward, axis=1, keepdims=True)
     light = lighting.on(positions).scattered(forward) * (gamma_w * smoke.density)[:, None]
     if colour is not None:
-        light = light * torch.from_numpy(_values_at(colour, smoke.ijk.numpy()))
+        own = torch.from_numpy(colour.at(smoke.ijk.numpy()))
+        light = light * own.view(len(own), -1)  # an empty field has one number for each voxel
     boxes = [field for field in (density, emission) if not field.is_empty]
     low = np.min([field.ijk_min for field in boxes], axis=0)
     high = np.max([np.add(field.ijk_min, field.values.shape[:3]) for field in boxes], axis=0)
@@ -191,12 +192,3 @@ def lit_emission(
         values[tuple(slice(a, a + n) for a, n in zip(first, shape, strict=True))] = emission.values
     values[tuple((smoke.ijk.numpy() - low).T)] += light.numpy()
     return replace(emission, values=values, ijk_min=tuple(low.tolist()))
-
-
-def _values_at(field: DenseField, ijk: np.ndarray) -> np.ndarray:
-    """[N 3] at indices [N 3]; 0 outside."""
-    index = ijk - np.asarray(field.ijk_min)
-    inside = ((index >= 0) & (index < field.values.shape[:3])).all(axis=1)
-    values = np.zeros((len(index), 3), np.float32)
-    values[inside] = field.values[tuple(index[inside].T)]
-    return values

@@ -170,11 +170,19 @@ def _openvdb_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:
     return f"leads to <{targets[0]}>, which is of type {prim.GetTypeName() or 'none'}"
 
 
+def _is_level_set(volume: Usd.Prim, targets: list[Sdf.Path]) -> bool:
+    """Whether a relationship leads to a field that says that it is one."""
+    prim = target_prim(volume.GetStage(), targets)
+    return prim is not None and prim.GetAttribute("fieldClass").Get() == "levelSet"
+
+
 def _density_advice(volume: Usd.Prim, names: dict[str, list[Sdf.Path]]) -> str:
     """What to do about a Volume without a field of the density's name."""
     if not names:
         return "Give it a field of density."
     others = [name for name in names if name not in (*COLOUR_VECTORS, *COLOUR_CHANNELS)]
+    if others and all(_is_level_set(volume, names[name]) for name in others):
+        return "It has surfaces alone (level sets): convert one to a fog volume."
     name = others[0] if len(others) == 1 else "NAME"
     others = [prim for prim in volume.GetStage().Traverse() if prim.IsA(UsdVol.Volume)]
     alone = f" --prim {volume.GetPath()}, as it holds for all Volumes" if len(others) > 1 else ""
