@@ -87,8 +87,7 @@ def compose_sheet(
             sheet.paste(_image(picture), (left, top + _LABEL))
     if styles:
         column = max((len(rows[number]) for number in beside), default=n_columns)
-        first = beside[0] if beside else 0
-        top = _MARGIN + _LABEL + first * (tall + _LABEL + _GAP)
+        top = _MARGIN + _LABEL + beside.start * (tall + _LABEL + _GAP)
         place = (_MARGIN + column * (wide + _GAP), top)
         draw.text(place, "style", _INK, font)
         _paste_styles(sheet, styles, (place[0], place[1] + _LABEL), there if beside else own)

@@ -147,11 +147,9 @@ def move_density(
         is_part: ``source`` holds only some of the active voxels, and the others are kept.
     """
     # move the box
-    lattice = displacement.lattice
-    whole, level = lattice.fill(source), dense_level(source.density)
-    share = shares_on(lattice, mask, whole)
-    box = whole.clamp(max=level)
-    u = lattice.from_stage(displacement.values)
+    lattice, level = displacement.lattice, dense_level(source.density)
+    whole, u = lattice.fill(source), lattice.from_stage(displacement.values)
+    share, box = shares_on(lattice, mask, whole), whole.clamp(max=level)
     largest = float(u.norm(dim=-1).max())
     u.div_(box.new_tensor(lattice.spacing))
     scheme = shape.interpolation
@@ -171,8 +169,8 @@ def move_density(
         if share is not None:  # a sum of two parts has round-off
             result = torch.where(share > 0, result, whole)
     values, low = result.cpu().numpy(), lattice.low
-    changed = share > 0 if is_part and share is not None else (whole > 0) | (result > 0)
     if is_part or density.background:
+        changed = share > 0 if is_part and share is not None else (whole > 0) | (result > 0)
         values, low = _among_the_rest(density, values, low, changed.cpu().numpy())
     report = TransportReport(
         largest_displacement=largest,
