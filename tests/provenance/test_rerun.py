@@ -56,7 +56,9 @@ def test_changed_inputs_are_refused_by_name_before_anything_is_written(
     shot, result = finished
     write_vdb(shot.stage.parent / "cache/smoke.0002.vdb", value=0.125)
     shot.style.unlink()
-    with pytest.raises(LayerError, match=r"smoke\.0002\.vdb.*style\.png: .*found no file.*--force"):
+    with pytest.raises(
+        LayerError, match=r"smoke\.0002\.vdb.*style\.png: .*found no file(?!.*--force)"
+    ):
         rerun(result.look_layer, shot.folder / "again")
     assert not (shot.folder / "again").exists()
 

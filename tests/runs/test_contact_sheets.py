@@ -69,14 +69,15 @@ def drawn(core: FakeCore, monkeypatch: pytest.MonkeyPatch) -> Drawn:
     return Drawn(monkeypatch)
 
 
-def test_three_frames_are_shown_from_the_front_and_the_middle_one_all_round(
+def test_four_frames_are_shown_from_the_front_and_a_middle_one_all_round(
     tmp_path: Path, drawn: Drawn
 ) -> None:
-    run(make_shot(tmp_path, n_frames=5))
-    assert drawn.angles == [0, 0, 0, 0, 30, 90, 180, 0, 0]  # source, result: first, middle, last
-    values = [0.5 + code / 8 for code in (1, 3, 5)]
-    assert drawn.opacity[0::2][:2] == pytest.approx(values[:2])  # the sources, in order
-    assert drawn.opacity[7] == pytest.approx(values[2])
+    run(make_shot(tmp_path, n_frames=7))
+    # source and result of the first, of two between, the first of them all round, and of the last
+    assert drawn.angles == [0, 0, 0, 0, 30, 90, 180, 0, 0, 0, 0]
+    values = [0.5 + code / 8 for code in (1, 3, 5, 7)]
+    sources = [drawn.opacity[n] for n in (0, 2, 7, 9)]
+    assert sources == pytest.approx(values)
     assert len({(view.height, view.width, view.pixel_size) for view in drawn.views}) == 1
 
 

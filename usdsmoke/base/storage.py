@@ -68,23 +68,29 @@ def check_half(time_code: float, densest: float, brightest: float) -> None:
             )
 
 
-def check_half_copy(name: str, values: np.ndarray, remedy: str) -> None:
+def check_half_copy(grids: Sequence[DenseField], remedy: str) -> None:
     """Refuse 16-bit floats that cannot hold a field that is copied.
 
     Args:
-        name: of the copy.
+        grids: of one field: one, or three of a velocity.
         remedy: what to do.
 
     Raises:
         ConfigError: with the largest number and the one that can be held, or the share of small
             numbers that is lost.
     """
-    largest = float(np.abs(values).max(initial=0.0))
-    if largest > LARGEST_HALF:
+    if not grids:
+        return
+    name = " ".join(grid.name for grid in grids)
+    numbers = [grid.values.ravel() for grid in grids]
+    largest = max(float(np.abs(n).max(initial=0.0)) for n in numbers)
+    held = max([largest, *(float(np.abs(grid.background).max()) for grid in grids)])
+    if held > LARGEST_HALF:
         raise ConfigError(
             f"16-bit floats hold numbers up to {LARGEST_HALF:g}, but the copied field "
-            f'"{name}" reaches {largest:g}. {remedy}'
+            f'"{name}" reaches {held:g}. {remedy}'
         )
+    values = np.concatenate(numbers)
     lost = _difference(values, values, half=True)
     if not lost <= MOST_LOST:
         raise ConfigError(

@@ -212,7 +212,7 @@ def _read_exr(where: Path) -> tuple[np.ndarray, np.ndarray | None, str]:
         _check_finite(f"the alpha channel of the style image {where}", alpha)
         linear = linear / np.where(alpha > 0.0, alpha, 1.0)[..., None]  # stored premultiplied
     note = ""
-    if primaries and not np.allclose(primaries, _REC709, atol=0.005):
+    if names[0] == "R" and any(primaries) and not np.allclose(primaries, _REC709, atol=0.005):
         note = (
             f"the style image {where.name} has other primaries than Rec.709, and is read as if it "
             "had those. Convert it to linear Rec.709 (sRGB primaries)"

@@ -10,10 +10,12 @@ from usdsmoke.base.errors import ConfigError, GridError
 from usdsmoke.base.volume import FieldSource, FrameSource, VolumeSource, is_same_transform
 from usdsmoke.config.run_sections import EVERYTHING
 from usdsmoke.config.settings import Config
+from usdsmoke.planning.estimate import FrameSize
 from usdsmoke.planning.frames import VelocitySource, field_place
 from usdsmoke.vdb.header import COMPONENTS, FileHeader, GridHeader
 from usdsmoke.vdb.read import GridRequest, check_readable, find_grid
 
+_NEAR = 4  # times the voxels of smoke: those of a velocity near it, at most
 REPLACED = "the look's own field of this name takes its place"
 
 
@@ -52,6 +54,32 @@ def size_beside(velocity: VelocitySource | None, others: Copies) -> GridSizes:
     """The size of a velocity, one grid or three, and of other grids."""
     grids = [] if velocity is None else [(g, 3 // len(velocity.grids)) for g in velocity.grids]
     return _sizes([*grids, *((copy.grid, copy.components) for copy in others)])
+
+
+def with_copies(
+    size: FrameSize,
+    velocities: tuple[VelocitySource | None, VelocitySource | None],
+    others: Copies,
+    config: Config,
+    are_moved: bool,
+) -> FrameSize:
+    """A frame's size with the grids that are read and written beside the density.
+
+    Args:
+        velocities: the one that is followed, and the one that is copied.
+        others: other grids that are copied.
+        are_moved: whether these move with the density.
+    """
+    followed, copied = velocities
+    values, moved = size_beside(copied, ()).values, size_beside(None, others).values
+    if config.layer.compact_velocity:  # near the smoke alone
+        values = min(values, 3 * _NEAR * size.active_voxels)
+    return replace(
+        size,
+        copied_values=values + moved,
+        moved_values=moved if are_moved else 0,
+        read_box=size_beside(followed or copied, others).box,
+    )
 
 
 def _sizes(grids: Sequence[tuple[GridHeader, int]]) -> GridSizes:

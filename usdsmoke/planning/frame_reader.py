@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Iterable
 
 from usdsmoke.base.errors import UnsupportedGrid
-from usdsmoke.base.storage import check_half_copy
 from usdsmoke.base.volume import DenseField, FieldSource, FrameSource, VolumeFrame, VolumeSource
 from usdsmoke.config.settings import Config
 from usdsmoke.planning.copied import CopiedGrid
@@ -21,11 +20,6 @@ from usdsmoke.vdb.content_hash import hash_fields
 from usdsmoke.vdb.read import GridRequest, ReadGrids, read_grids
 from usdsmoke.vdb.store import GridStore
 from usdsmoke.vdb.velocity import read_velocity, scale_field
-
-_FULL_FIELD = "Unset grids.half (--half), or leave the field out of layer.copy_fields."
-_FULL_VELOCITY = (
-    "Unset grids.half (--half) and layer.compact_velocity, or set layer.copy_velocity=false."
-)
 
 
 class FrameReader:
@@ -62,15 +56,11 @@ class FrameReader:
 
         Raises:
             GridError: see ``read_velocity_grids``.
-            ConfigError: it is stored in 16-bit floats, which do not hold it.
         """
         if frame.copied is None:
             return []
-        density, config = frame.source.fields[volume.source.density], volume.config
-        grids = read_velocity_grids(frame.copied, density, config, self._store.read)
-        for grid in grids if config.grids.half or config.layer.compact_velocity else ():
-            check_half_copy(grid.name, grid.values, _FULL_VELOCITY)
-        return grids
+        density = frame.source.fields[volume.source.density]
+        return read_velocity_grids(frame.copied, density, volume.config, self._store.read)
 
     def read_others(self, volume: VolumePlan, frame: FramePlan) -> list[DenseField]:
         """The other grids that are copied to a frame's result, as they are in the source.
@@ -85,8 +75,6 @@ class FrameReader:
 
     def _read_other(self, volume: VolumePlan, grid: CopiedGrid) -> DenseField:
         (field,) = self._store.read(grid.field.file_path, [grid.request], volume.config.grids)
-        if volume.config.grids.half:
-            check_half_copy(grid.name, field.values, _FULL_FIELD)
         return field
 
     def hash_sources(self, volume: VolumePlan, frame: FramePlan) -> dict[str, str]:
@@ -99,8 +87,7 @@ class FrameReader:
             GridError, NonFiniteError: see ``read``.
         """
         found = _hashes(self.read(volume, frame))
-        copied = self.read_velocity_copy(volume, frame)
-        if copied and "velocity" not in found:
+        if "velocity" not in found and (copied := self.read_velocity_copy(volume, frame)):
             found["velocity"] = hash_fields(copied)
         others = {grid.name: self._read_other(volume, grid) for grid in frame.others}
         return {name: hash_fields([field]) for name, field in others.items()} | found

@@ -22,7 +22,7 @@ from usdsmoke.core.sequence.controls import (
     step_iterations,
     without_network,
 )
-from usdsmoke.planning.copied import CopiedGrid, find_copies, size_beside, unnamed_velocities
+from usdsmoke.planning.copied import find_copies, size_beside, unnamed_velocities, with_copies
 from usdsmoke.planning.estimate import (
     CostEstimate,
     FrameSize,
@@ -310,7 +310,13 @@ def _plan_volume(
     most = most_visible([f.size for f in decisive_frames(planned)], planned.config)
     frames = [replace(frame, size=replace(frame.size, most_voxels=most)) for frame in frames]
     frames = [
-        _with_copies(frame, grids, planned.moves_fields)
+        replace(
+            frame,
+            others=grids,
+            size=with_copies(
+                frame.size, (frame.velocity, frame.copied), grids, config, planned.moves_fields
+            ),
+        )
         for frame, grids in zip(frames, copies, strict=True)
     ]
     return replace(planned, frames=tuple(frames), beside=_left_beside(volume, frames[0], headers))
@@ -330,17 +336,6 @@ def _left_beside(
     used |= {frame.mask.grid.name} if frame.mask else set()
     header = headers[frame.source.fields[volume.density].file_path]
     return tuple(name for name in grids_beside(volume, header) if name not in used)
-
-
-def _with_copies(frame: FramePlan, grids: tuple[CopiedGrid, ...], are_moved: bool) -> FramePlan:
-    """The frame with other grids that are copied into its file."""
-    size = replace(
-        frame.size,
-        copied_values=size_beside(frame.copied, grids).values,
-        moved_values=size_beside(None, grids).values if are_moved else 0,
-        read_box=size_beside(frame.velocity or frame.copied, grids).box,
-    )
-    return replace(frame, others=grids, size=size)
 
 
 @dataclass(frozen=True)

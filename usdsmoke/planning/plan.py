@@ -282,10 +282,12 @@ def _frame_dict(volume: VolumePlan, frame: FramePlan) -> dict[str, Any]:
 
 
 def decisive_frames(volume: VolumePlan) -> list[FramePlan]:
-    """The frames that decide what is the same in all: those with smoke that ``optics.frames``
-    names; else all with smoke; else all."""
-    named = [frame for frame in named_frames(volume) if not frame.is_empty]
-    return named or volume.filled or list(volume.frames)
+    """The frames that decide what is the same in all: those with visible smoke that
+    ``optics.frames`` names; else all that have some; else all."""
+    seen = [frame for frame in volume.filled if frame.size.visible > 0]
+    named = {frame.source.time_code for frame in named_frames(volume)}
+    chosen = [frame for frame in seen if frame.source.time_code in named]
+    return chosen or seen or list(volume.frames)
 
 
 def named_frames(volume: VolumePlan) -> list[FramePlan]:

@@ -20,7 +20,7 @@ from usdsmoke.config.settings import Config
 from usdsmoke.pictures import find_style_size, refine_for_less
 from usdsmoke.planning.frame_reader import FrameReader
 from usdsmoke.planning.job import Job
-from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask, decisive_frames
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask, named_frames
 from usdsmoke.planning.visibility import MOST_REFINED
 from usdsmoke.runs.manifests import CoarseRecord, coarse_file_name, network_file_name
 from usdsmoke.runs.opened import OpenRun, has_coarse_step, missing_starts
@@ -76,7 +76,8 @@ def measure_scenes(reader: FrameReader, job: Job) -> list[dict[str, Any]]:
 def measured_frames(volume: VolumePlan) -> list[FramePlan]:
     """Up to three frames with smoke of those that ``optics.frames`` names; of all where it names
     none of this Volume's."""
-    return spread([frame for frame in decisive_frames(volume) if not frame.is_empty])
+    named = dataclasses.replace(volume, frames=tuple(named_frames(volume)))
+    return spread(named.filled) or spread(volume.filled)
 
 
 def read_scene(run: Run, volume_number: int) -> "Scene":

@@ -12,13 +12,14 @@ from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.json_records import read_json
 from usdsmoke.base.machine import give_back_memory, usable_cpus
 from usdsmoke.base.publish import make_folders, publish_file
+from usdsmoke.base.storage import check_half_copy, clip_to_smoke
 from usdsmoke.core.sequence.controls import (
     are_independent,
     check_storable,
     fine_octaves,
     frame_config,
 )
-from usdsmoke.planning.plan import FramePlan, Plan, WindowTask
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.runs.budget import Finding, PartClock, WindowFindings, timed_items
 from usdsmoke.runs.coarse import coarse_starts, read_scene, settle_start
 from usdsmoke.runs.manifests import WindowRecord
@@ -33,6 +34,10 @@ if TYPE_CHECKING:
     from usdsmoke.core.sequence.start import Carried
 
 
+_FULL_FIELD = "Unset grids.half (--half), or leave the field out of layer.copy_fields."
+_FULL_VELOCITY = (
+    "Unset grids.half (--half) and layer.compact_velocity, or set layer.copy_velocity=false."
+)
 _READERS = 2  # frames that are read at once: one is decoded while another is hashed
 
 
@@ -73,8 +78,10 @@ def check_storage(opened: OpenRun, tasks: Sequence[WindowTask]) -> None:
     Raises:
         ConfigError: with the frame, the largest number and the one that can be held.
     """
-    half = [task for task in tasks if task.volume.config.grids.half]
-    for task in half:
+    for task in tasks:
+        for frame in task.frames:
+            _check_copies(opened, task.volume, frame)
+    for task in (task for task in tasks if task.volume.config.grids.half):
         scene = read_scene(opened.run, task.volume_number)
         for frame in task.frames:
             read = opened.reader.read(task.volume, frame)
@@ -88,6 +95,19 @@ def check_storage(opened: OpenRun, tasks: Sequence[WindowTask]) -> None:
             else:
                 gamma_w = scene.gamma_w
             check_storable(read.density, read.time_code, gamma_w, config)
+
+
+def _check_copies(opened: OpenRun, volume: VolumePlan, frame: FramePlan) -> None:
+    """The same of the grids that are copied into a frame's file."""
+    is_half, reader = volume.config.grids.half, opened.reader
+    if is_half or volume.config.layer.compact_velocity:
+        velocity = reader.read_velocity_copy(volume, frame)
+        if volume.config.layer.compact_velocity and velocity:
+            density = reader.read(volume, frame).density
+            velocity = [clip_to_smoke(grid, density) for grid in velocity]
+        check_half_copy(velocity, _FULL_VELOCITY)
+    for grid in reader.read_others(volume, frame) if is_half else ():
+        check_half_copy([grid], _FULL_FIELD)
 
 
 def stylize_windows(

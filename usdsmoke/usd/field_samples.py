@@ -101,7 +101,7 @@ class FieldSamples:
             stage timeCodes a timeCode of the layer, and stage seconds a second of the layer.
         """
         rate = self._file.GetStage().GetTimeCodesPerSecond()
-        for attribute in (self._file, *self._grid):
+        for attribute in (self._file, *filter(_varies, self._grid)):
             stack = attribute.GetPropertyStackWithLayerOffsets(Usd.TimeCode(time_code))
             for spec, offset in stack:
                 if spec.HasInfo("timeSamples"):
@@ -115,6 +115,11 @@ class FieldSamples:
         codes = sorted({code for item in attributes for code in item.GetTimeSamples()})
         found = [code for code in codes if interval.Contains(code)]
         return tuple(self.at(code) for code in found or codes[:1] or [None])
+
+
+def _varies(attribute: Usd.Attribute) -> bool:
+    """Whether an attribute has time samples of several values, and no stronger default."""
+    return len({value_at(attribute, code) for code in attribute.GetTimeSamples()}) > 1
 
 
 def usd_time(time_code: float | None) -> Usd.TimeCode:

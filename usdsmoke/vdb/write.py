@@ -107,6 +107,8 @@ def _write_grids(
     try:
         arrays = [field.values for field in stored]
         child.run_child({**request, "file_path": str(temporary)}, arrays, config)
+    except WriteFailed as error:
+        raise WriteFailed(f"cannot write {target.name}: {error}") from None
     except ChildFailure as failure:
         _try_disk(temporary)
         raise WriteFailed(

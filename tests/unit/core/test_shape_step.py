@@ -248,13 +248,16 @@ def test_small_and_large_frames_of_a_shot_move_alike(
         assert found.report.shape is not None and found.report.shape.iterations == done
 
 
-@pytest.mark.parametrize("background", [0.05, -0.05])
-def test_fog_around_moved_smoke_is_as_it_was(background: float) -> None:
-    """A background other than 0 applies outside of the box, and up to the smoke in it."""
+def test_fog_around_moved_smoke_is_as_it_was() -> None:
+    """A background above 0 applies outside of the box, and up to the smoke in it."""
+    background = 0.05
     frame = frame_of(puff(14) + background)
     frame = replace(frame, density=replace(frame.density, background=background))
     config = quick_config(optimize={"steps": ["shape"]}, optics={"thicken": 1.0})
     (result,) = run_core([frame], config)
     before, after = frame.density, result.density
     assert after.background == before.background and not np.array_equal(after.values, before.values)
-    assert (after.values != 0).all()
+    outside = np.ones(after.values.shape, bool)
+    low = np.subtract(before.ijk_min, after.ijk_min)
+    outside[tuple(slice(a, a + n) for a, n in zip(low, before.values.shape, strict=True))] = False
+    assert after.values.min() > 0 and (after.values[outside] >= np.float32(background)).all()

@@ -19,6 +19,7 @@ from usdsmoke.core.steps.pictures import ColourView, prepare_views
 from usdsmoke.core.steps.targets import StepProblem, StyleTargets
 from usdsmoke.core.views.lighting import Lighting, light_smoke
 from usdsmoke.core.views.scene import Scene, frame_views
+from usdsmoke.core.views.visibility import frame_visibility
 
 _N_VIEWS = 4
 _FACTOR = 2  # voxels and pixels are this many times as large: shares need no detail
@@ -111,7 +112,11 @@ def white_exposure(frames: Sequence[VolumeFrame], config: Config, scene: Scene) 
         lighting = light_smoke(smoke, scene.gamma_w, scattering)
         if lighting is None:
             continue
-        octave = coarsen(bounded(smoke))
+        visibility = frame_visibility(frame, smoke, 0.0, config.views.camera_margin)
+        seen = smoke if visibility is None else visibility.visible(smoke)
+        if len(seen.ijk) == 0:
+            continue
+        octave = coarsen(bounded(seen))
         views = _views(octave, replace(scene, camera=frame.camera), config, lighting, None)
         brightness = _brightness(views, _lit(views, octave))
         if len(brightness) and (lit := float(brightness.quantile(_LIT))) > 0:

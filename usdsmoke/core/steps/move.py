@@ -169,8 +169,8 @@ def move_density(
         if share is not None:  # a sum of two parts has round-off
             result = torch.where(share > 0, result, whole)
     values, low = result.cpu().numpy(), lattice.low
-    if is_part or density.background:
-        changed = share > 0 if is_part and share is not None else (whole > 0) | (result > 0)
+    changed = _changed(whole, result, share if is_part else None, density)
+    if changed is not None:
         values, low = _among_the_rest(density, values, low, changed.cpu().numpy())
     report = TransportReport(
         largest_displacement=largest,
@@ -306,6 +306,23 @@ def _with_mass(
     )
     result[here] = corrected if is_corrected else moved[here]
     return result, error
+
+
+def _changed(
+    whole: Tensor, result: Tensor, share: Tensor | None, density: DenseField
+) -> Tensor | None:
+    """Where a box goes into the field, [I J K] bool; None: everywhere, as all around it is 0.
+
+    Args:
+        whole, result: the smoke before and after.
+        share: of the part that the box holds; None: it holds all.
+    """
+    background = float(np.max(density.background))
+    if background <= 0:
+        return None if share is None else share > 0
+    # fog lies around the smoke, and counts where less than it comes to
+    is_smoke = (whole > 0) | (result > background)
+    return is_smoke if share is None else is_smoke & (share > 0)
 
 
 def _among_the_rest(

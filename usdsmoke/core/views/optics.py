@@ -21,7 +21,6 @@ from torch import Tensor
 from usdsmoke.core.smoke.memory import add_at, chunks
 from usdsmoke.core.views.cameras import View
 
-LEAST = 1e-30  # optical depth; of less, as of none, all light is attenuated by 1
 THICKEST = 1e30  # optical depth of one voxel in one pixel; sums of thicker ones overflow float32
 MOST_CELLS = 2**27  # slabs times pixels: empty space between far places must not fill memory
 CHUNK_CELLS = 2**19  # slabs times pixels in a chunk
@@ -40,7 +39,8 @@ class _AttenuationRatio(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, optical_depth: Tensor) -> Tensor:
-        depth = optical_depth.clamp_min(LEAST).neg_()
+        # of no depth, as of the least one, all light is attenuated by 1
+        depth = optical_depth.clamp_min(torch.finfo(optical_depth.dtype).tiny).neg_()
         ratio = torch.expm1(depth).div_(depth)
         ctx.save_for_backward(optical_depth, ratio)
         return ratio
