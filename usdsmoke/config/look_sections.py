@@ -78,8 +78,9 @@ class OpticsConfig(Section):
         None, "density at which the curve of optics.thicken bends; unset: chosen so that thick "
         "columns keep their optical depth", gt=0, le=1e27)
     frames: str = setting(
-        "", "timeCodes that extinction and picture size are measured on, such as 1-2; empty: three "
-        "of the stylized ones; a look that is made longer keeps its own")
+        "", "timeCodes that extinction and picture size are measured on, and the largest of which "
+        "decides whether voxels or blocks move, such as 1-2; empty: three of the stylized ones, "
+        "and the largest of all; a look that is made longer keeps its own")
     percentile: float = setting(
         90.0, "percentile of column depth that counts as thick", gt=0, le=100)
     albedo: float | None = setting(
