@@ -226,6 +226,26 @@ def test_a_velocity_that_16_bit_floats_cannot_hold_is_refused_before_the_run(
     assert run(shot, "layer.copy_velocity=false", setting).frames
 
 
+@pytest.mark.usefixtures("core")
+def test_a_velocity_is_judged_as_a_whole_and_where_it_is_written(tmp_path: Path) -> None:
+    """What hardly counts beside another component, or lies far from the smoke, is no reason."""
+    shot = make_shot(tmp_path / "shot", n_frames=1)
+    file_path = shot.stage.parent / "cache/smoke.0001.vdb"
+    speeds = {"vel.x": 1.5, "vel.y": 0.5, "vel.z": 2e-8}
+    wind = [
+        raw_grid(np.full((4, 4, 4), speed), name, grid_class="unknown")
+        for name, speed in speeds.items()
+    ]
+    openvdb().write(str(file_path), grids=[raw_grid(np.ones((4, 4, 4))), *wind])
+    assert run(shot, "layer.copy_velocity=true", "grids.half=true").frames
+    far = np.full((24, 4, 4, 3), 0.5)
+    far[20:] = 1e5
+    grids = [raw_grid(np.ones((4, 4, 4))), raw_grid(far, "vel", grid_class="unknown")]
+    openvdb().write(str(file_path), grids=grids)
+    compact = ("layer.copy_velocity=true", "layer.compact_velocity=true")
+    assert run(replace(shot, output=shot.folder / "compact"), *compact).frames
+
+
 def test_frames_outside_the_range_have_the_boxes_of_their_files(tmp_path: Path) -> None:
     shot = make_shot(tmp_path / "shot", n_frames=4)
     for code in (3, 4):

@@ -44,3 +44,14 @@ def test_a_slower_sublayer_slows_the_velocity_whatever_is_animated(tmp_path, ani
     (volume,) = find_volumes(stage, StageConfig()).volumes
     assert [frame.time_code for frame in volume.frames] == [2.0, 4.0]
     assert [frame.fields["density"].code_stretch for frame in volume.frames] == [2.0, 2.0]
+
+
+def test_time_samples_of_one_value_slow_nothing(tmp_path):
+    write_sequence(tmp_path, [1])
+    files = "asset filePath = @./cache/smoke.0001.vdb@"
+    grid = 'token fieldName.timeSamples = { 1: "density", 2: "density" }'
+    write_text(tmp_path / "inner.usda", world(volume_prim(density_prim(files, grid=grid))))
+    slow = HEADER.replace("(\n", "(\n    subLayers = [@./inner.usda@ (scale = 2)]\n", 1)
+    stage = open_stage(write_text(tmp_path / "shot.usda", slow))
+    (volume,) = find_volumes(stage, StageConfig()).volumes
+    assert [frame.fields["density"].code_stretch for frame in volume.frames] == [1.0]

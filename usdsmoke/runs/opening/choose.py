@@ -158,6 +158,9 @@ def join_run(
             _choose_run(job, identity)
     with lock_output(job.output, alone=False, waits=waits) as lock:
         run = _find_equal(job.output, identity)
+        if run is not None and growth is not None and not run.scenes:
+            with _beginning(job.output, lock):  # another process takes over what stays
+                run = _find_equal(job.output, identity)
         if run is None:
             _choose_run(job, identity, alone=False, growth=growth)  # or be refused
             with _beginning(job.output, lock):
