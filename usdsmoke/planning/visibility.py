@@ -22,6 +22,7 @@ MOST_REFINED = 4  # 64 times the voxels
 # Visible voxels of the largest frame up to which smoke is refined automatically: with the default
 # settings it takes up to one and a half times as long as a million voxels (decision 083)
 _MOST_VOXELS = 1_500_000
+_NO_LIMIT = 1_000_000  # parts of a voxel: more than any setting
 _SAMPLES = 16  # points along each side of a box
 # Pixels of a picture for one voxel from which strokes look smeared: with 192 pixels, plumes of 109
 # and 111 voxels do (decision 076)
@@ -120,23 +121,33 @@ def with_refine(volume: VolumePlan) -> VolumePlan:
 
     It depends on headers and on settings that decide the result, so that machines agree. Where
     ``optics.frames`` names frames with smoke, these tell what sharpens strokes.
+
+    Raises:
+        PlanError: a value that is set makes voxels that OpenVDB cannot store.
     """
-    if volume.config.grids.refine is not None:
+    most = _most_writable(volume)
+    if (given := volume.config.grids.refine) is not None:
+        if given > most:
+            raise PlanError(
+                f"grids.refine={given} makes the voxels of <{volume.source.prim_path}> smaller "
+                f"than OpenVDB can store. Set it to {most} at most."
+            )
         return volume
     measured = replace(volume, frames=tuple(decisive_frames(volume)))
     side = _picture_side(measured)
-    parts = affordable_parts(volume.config, volume.sizes, measured.sizes, side)
-    parts = min(parts, _most_writable(volume))
+    parts = min(affordable_parts(volume.config, volume.sizes, measured.sizes, side), most)
     config = volume.config.with_values({"grids.refine": parts})
     return replace(volume, config=config, chose_refine=True)
 
 
 def _most_writable(volume: VolumePlan) -> int:
     """How often voxels may be divided along each axis, to be as large as OpenVDB takes them."""
-    grids = [frame.grid for frame in volume.filled if frame.grid.index_to_world is not None]
-    sizes = [abs(float(np.linalg.det(np.asarray(g.index_to_world)[:3, :3]))) for g in grids]
-    parts = [(size / LEAST_VOXEL) ** (1 / 3) for size in sizes]
-    return max(int(min(parts, default=MOST_REFINED)), 1)
+    most = _NO_LIMIT
+    for frame in volume.filled:
+        if (matrix := frame.grid.index_to_world) is not None:
+            size, n_axes = abs(float(np.linalg.det(matrix[:3, :3]))), 3 - frame.size.box.count(1)
+            most = min(most, int((size / LEAST_VOXEL) ** (1 / max(n_axes, 1))))
+    return max(most, 1)
 
 
 def affordable_parts(

@@ -85,6 +85,8 @@ def test_no_voxel_gets_too_small_for_openvdb(tmp_path: Path) -> None:
         smoke = raw_grid(np.ones((20, 6, 6)), matrix=np.diag([size, size, size, 1.0]))
         write_raw(shot.stage.parent / "cache/smoke.0001.vdb", smoke)
         assert parts_of(plan_of(shot)) == parts
+    with pytest.raises(PlanError, match=r"grids\.refine=2"):
+        plan_of(shot, "grids.refine=2")
 
 
 def test_named_frames_tell_whether_voxels_or_blocks_move(tmp_path: Path) -> None:
