@@ -40,11 +40,11 @@ from usdsmoke.planning.frames import (
 )
 from usdsmoke.planning.materials import material_warnings
 from usdsmoke.planning.needs import list_needed, list_omitted
-from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask, decisive_frames
+from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan, WindowTask
 from usdsmoke.planning.remarks import list_remarks
 from usdsmoke.planning.visibility import (
     camera_tips,
-    most_visible,
+    most_deciding,
     unseen_warnings,
     visible_share,
     with_refine,
@@ -307,7 +307,7 @@ def _plan_volume(
     planned = with_refine(
         VolumePlan(volume, stem, tuple(frames), windows, config, own.styles, runs, cuts, reasons)
     )
-    most = most_visible([f.size for f in decisive_frames(planned)], planned.config)
+    most = most_deciding(planned, planned.config)
     frames = [replace(frame, size=replace(frame.size, most_voxels=most)) for frame in frames]
     frames = [
         replace(

@@ -172,6 +172,11 @@ def most_visible(sizes: Sequence[FrameSize], config: Config) -> int:
     return max(visible_voxels(size, config) for size in sizes)
 
 
+def most_deciding(volume: VolumePlan, config: Config) -> int:
+    """The same of the frames that decide what is the same in all, see ``decisive_frames``."""
+    return most_visible([frame.size for frame in decisive_frames(volume)], config)
+
+
 def _picture_side(volume: VolumePlan) -> float:
     """Pixels of the longest side of the smoke in a picture, at most."""
     pixels = float(volume.config.views.image_size)
@@ -206,7 +211,7 @@ def price_of_detail(volume: VolumePlan, parts: int) -> tuple[float, float]:
 
 def _cost(volume: VolumePlan, config: Config) -> tuple[float, float]:
     """Seconds and GiB of memory that a Volume takes with other settings."""
-    most = most_visible([frame.size for frame in decisive_frames(volume)], config)
+    most = most_deciding(volume, config)
     sizes = [replace(size, most_voxels=most) for size in volume.sizes]
     estimate = estimate_run(sizes, config, len(volume.styles))
     training = training_seconds(sizes, config, len(volume.styles))

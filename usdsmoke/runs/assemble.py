@@ -377,7 +377,7 @@ def _warnings(plan: Plan, run: Run) -> tuple[str, ...]:
     found += [
         f"<{volume.source.prim_path}>: {_exposed(scene['stops'])}"
         for volume, scene in zip(plan.volumes, run.scenes, strict=True)
-        if volume.config.optics.exposure is None and scene.get("stops")
+        if volume.config.chooses_exposure and scene.get("stops")
     ]
     found += [
         f"the frames of <{volume.source.prim_path}> start cold: {network_text(volume)} does not "

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from usdsmoke.base.boxes import union_box, values_in_box
 from usdsmoke.base.errors import ShapeError
 from usdsmoke.base.volume import DenseField
-from usdsmoke.vdb.boxes import union_box, values_in_box
 
 RISE = 1.2  # power of the place in an overlap: later than half-way through, shares are equal
 

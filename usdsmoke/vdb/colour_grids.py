@@ -16,6 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from usdsmoke.base.boxes import values_in_box
 from usdsmoke.base.naming import (
     COLOUR_CHANNELS,
     EMISSION,
@@ -25,7 +26,6 @@ from usdsmoke.base.naming import (
 )
 from usdsmoke.base.volume import DenseField
 from usdsmoke.config.settings import Config
-from usdsmoke.vdb.boxes import values_in_box
 
 _PER_DENSITY = "perDensity"
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from usdsmoke.base.boxes import union_box, values_in_box
 from usdsmoke.base.errors import UnsupportedGrid
 from usdsmoke.base.volume import GRID_SEPARATORS, VELOCITY_NAMES, DenseField
 from usdsmoke.config.run_sections import GridsConfig
-from usdsmoke.vdb.boxes import union_box, values_in_box
 from usdsmoke.vdb.header import FileHeader, GridHeader
 from usdsmoke.vdb.read import GridRequest, ReadGrids, read_grids
 

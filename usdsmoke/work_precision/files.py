@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from usdsmoke.base.boxes import values_in_box
 from usdsmoke.base.volume import DenseField
-from usdsmoke.vdb.boxes import values_in_box
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame
 from usdsmoke.work_precision.case import Case

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from usdsmoke.base.boxes import union_box, values_in_box
 from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.config.settings import Config
-from usdsmoke.vdb.boxes import union_box, values_in_box
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.engine import Sweep
 from usdsmoke.work_precision.film import Fields, draw_film

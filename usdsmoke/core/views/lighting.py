@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from usdsmoke.base.boxes import union_box, values_in_box
 from usdsmoke.base.volume import DenseField, Scattering
 from usdsmoke.core.smoke.active import ActiveSmoke, activate, coarsen, sample_colours
 from usdsmoke.core.views.bounces import softer, weights
@@ -183,12 +184,7 @@ def lit_emission(
     if colour is not None:
         own = torch.from_numpy(colour.at(smoke.ijk.numpy()))
         light = light * own.view(len(own), -1)  # an empty field has one number for each voxel
-    boxes = [field for field in (density, emission) if not field.is_empty]
-    low = np.min([field.ijk_min for field in boxes], axis=0)
-    high = np.max([np.add(field.ijk_min, field.values.shape[:3]) for field in boxes], axis=0)
-    values = np.zeros((*(high - low), 3), np.float32)
-    if not emission.is_empty:
-        first, shape = np.subtract(emission.ijk_min, low), emission.values.shape[:3]
-        values[tuple(slice(a, a + n) for a, n in zip(first, shape, strict=True))] = emission.values
+    low, shape = union_box((density, emission))
+    values = values_in_box(emission, low, (*shape, 3)).copy()
     values[tuple((smoke.ijk.numpy() - low).T)] += light.numpy()
-    return replace(emission, values=values, ijk_min=tuple(low.tolist()))
+    return replace(emission, values=values, ijk_min=low)
