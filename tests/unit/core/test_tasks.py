@@ -1,6 +1,7 @@
 """Work shared among threads."""
 
 import os
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -9,7 +10,14 @@ import pytest
 import torch
 
 from usdsmoke.core.smoke.memory import accumulate, accumulate_beside
-from usdsmoke.core.smoke.tasks import made_ahead, n_sharing, run_beside, run_tasks, share_among
+from usdsmoke.core.smoke.tasks import (
+    computing_threads,
+    made_ahead,
+    n_sharing,
+    run_beside,
+    run_tasks,
+    share_among,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -32,6 +40,19 @@ def test_results_come_in_the_order_of_the_tasks_from_several_threads():
     found = run_tasks([lambda n=n: task(n) for n in range(20)])
     assert [number for number, _ in found] == list(range(20))
     assert len({thread for _, thread in found[:3]}) == 3
+
+
+def test_threads_take_turns_more_often_only_while_they_compute():
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(0.005)
+    try:
+        with computing_threads(2):
+            assert sys.getswitchinterval() < 0.001
+        assert sys.getswitchinterval() == pytest.approx(0.005, rel=1e-3)
+        with computing_threads(1):  # nobody waits
+            assert sys.getswitchinterval() == pytest.approx(0.005, rel=1e-3)
+    finally:
+        sys.setswitchinterval(before)
 
 
 def test_tasks_inside_a_task_stay_in_its_thread():

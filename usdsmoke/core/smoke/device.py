@@ -24,8 +24,8 @@ class Machine:
 
 
 def choose_device(config: OptimizeConfig) -> torch.device:
-    """The configured device. Sets the number of threads, and that convolutions leave cuDNN out,
-    for the whole process.
+    """The configured device. Sets the number of threads (``share_among``), and that convolutions
+    leave cuDNN out, for the whole process.
 
     Raises:
         ConfigError: the device is unknown here; the message lists those there are.

@@ -17,6 +17,10 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from typing import Any, TypeVar
 
+# seconds until a thread in Python code lets another one go on, which Python sets to 0.005: a thread
+# that is done with a product waits that long for the next (decision 028)
+SWITCH_INTERVAL = 2e-4
+
 Result = TypeVar("Result")
 
 _here = threading.local()  # .busy: this thread is computing a task, and does not share it again
@@ -26,9 +30,14 @@ _n_threads = 1
 
 
 def share_among(n_threads: int) -> None:
-    """Set the number of threads that tasks of this process are shared among; at least 1."""
+    """Set the number of threads that tasks of this process are shared among; at least 1.
+
+    With more than one, Python's threads take turns more often from then on (``SWITCH_INTERVAL``).
+    """
     global _helpers, _n_threads
     _switch_off_torchs_own()
+    if n_threads > 1:
+        sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL))
     if n_threads != _n_threads:
         _helpers = None  # they end by themselves; another thread may be handing them a task
     _n_threads = n_threads
@@ -45,11 +54,13 @@ def computing_threads(count: int) -> Iterator[None]:
     """
     before, torch = n_sharing(), _loaded_torch()
     before_of_torch = None if torch is None else torch.get_num_threads()
+    interval = sys.getswitchinterval()
     share_among(count)
     try:
         yield
     finally:
         share_among(before)
+        sys.setswitchinterval(interval)
         if torch is not None:
             torch.set_num_threads(before_of_torch)
 
