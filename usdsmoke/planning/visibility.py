@@ -94,7 +94,7 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
                 "the camera, or unset views.camera"
             ]
     if not volume.chose_refine:
-        return []
+        return _joined_again(volume)
     if (parts := config.grids.parts) > 1:
         once = replace(volume, config=config.with_values({"grids.refine": 1}))
         times, _ = price_of_detail(once, parts)
@@ -113,6 +113,25 @@ def detail_remarks(volume: VolumePlan) -> list[str]:
                 f"needs {memory:.1f} GiB of memory then"
             ]
     return []
+
+
+def _joined_again(volume: VolumePlan) -> list[str]:
+    """That refined voxels are no finer in pictures, which join those of a pixel."""
+    parts, pixels = volume.config.grids.parts, _picture_side(volume)
+    longest = max(map(max, computed_boxes(volume.sizes)), default=0)
+    if (
+        parts == 1
+        or longest == 0
+        or round(longest * parts / pixels) < parts * max(round(longest / pixels), 1)
+    ):
+        return []
+    finer = f"Set views.image_size={longest * parts}, or leave grids.refine at 1"
+    is_far = pixels < volume.config.views.image_size  # the camera's picture has no more
+    return [
+        f"grids.refine={parts} hardly sharpens strokes of <{volume.source.prim_path}>: its longest "
+        f"side has {longest * parts} voxels then, and pictures have {pixels:.0f} pixels there. "
+        f"{'Leave it at 1' if is_far else finer}"
+    ]
 
 
 def with_refine(volume: VolumePlan) -> VolumePlan:

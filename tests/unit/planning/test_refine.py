@@ -143,3 +143,23 @@ def test_what_is_dear_is_proposed_with_its_price(tmp_path: Path) -> None:
     assert told == pytest.approx([finest.seconds / plan.estimate.seconds, finest.memory_gib], 0.05)
     assert not any("grids.refine" in note for note in finer.notes)
     assert not any("grids.refine" in n for n in plan_of(shot, more, "grids.refine=1").notes)
+
+
+@pytest.mark.parametrize(
+    ("settings", "advice"),
+    [
+        (("grids.refine=2",), "views.image_size=444"),
+        (("grids.refine=2", "views.image_size=444"), None),
+        (("grids.refine=2", "views.image_size=384"), None),  # pixels of 1.2 voxels
+        (("grids.refine=3", "views.image_size=384"), None),  # pixels of two thirds of a voxel
+        (("grids.refine=1",), None),
+        ((), None),
+    ],
+)
+def test_voxels_that_pictures_join_again_are_told(
+    tmp_path: Path, settings: tuple[str, ...], advice: str | None
+) -> None:
+    plan = plan_of(shot_of(tmp_path, (222, 6, 6)), *settings)
+    told = [note for note in plan.notes if "grids.refine" in note]
+    assert len(told) == (advice is not None)
+    assert all(str(advice) in note for note in told)
