@@ -39,7 +39,7 @@ from usdsmoke.planning.output_folder import (
 from usdsmoke.planning.plan import Omission, Plan, VolumePlan
 from usdsmoke.planning.remarks import fine_marks_remarks
 from usdsmoke.planning.visibility import check_visibility
-from usdsmoke.usd.look import LookFiles, check_asset, look_files
+from usdsmoke.usd.look import LookFiles, check_asset, check_search_paths, look_files
 from usdsmoke.usd.stage import StageOrFile, layer_files, read_source, stage_file
 from usdsmoke.usd.volume_settings import ResolvedVolumes
 from usdsmoke.vdb.binding import binding_name
@@ -201,6 +201,8 @@ def prepare_job(request: Request, fits: bool = True, parts: Mapping[str, int] | 
         )
     plan = dataclasses.replace(plan, notes=(*opened, *plan.notes, *fine_marks, *of_styles))
     targets = look_files(source.file_path, output, config.layer)
+    if targets.root_stage is not None:
+        check_search_paths(stage, targets.root_stage)
     files = _read_files(layer_files(stage), source, resolved)
     placed = [output / volume.file_of(f) for volume in plan.volumes for f in volume.frames]
     written = [*targets.written, *_sheets(plan, output), *(placed if config.layer.files else ())]

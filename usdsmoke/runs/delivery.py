@@ -13,7 +13,7 @@ from usdsmoke.planning.job import Job
 from usdsmoke.planning.make_plan import result_file_names
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.runs.run import Run, find_runs
-from usdsmoke.usd.look import check_asset_file
+from usdsmoke.usd.look import check_root_file
 from usdsmoke.vdb.header import read_header
 
 
@@ -48,8 +48,7 @@ def check_targets(job: Job) -> None:
         LayerError: with the file and whose it is.
     """
     check_delivery(job.plan, job.output)
-    if job.config.layer.mode == "reference" and job.targets.root_stage is not None:
-        check_asset_file(job.targets.root_stage, Path(job.plan.source.file_path))
+    check_root_file(job.targets, job.config.layer.mode, Path(job.plan.source.file_path))
 
 
 def check_delivery(plan: Plan, output: Path) -> None:

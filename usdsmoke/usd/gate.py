@@ -6,12 +6,14 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 
-from pxr import Ar, Sdf, Usd, UsdUtils
+from pxr import Ar, Sdf, Usd, UsdUtils, UsdVol
 
-from usdsmoke.base.errors import OutputExists, UsdSmokeError
+from usdsmoke.base.errors import OutputExists, UsdSmokeError, VolumeNotFound
 from usdsmoke.base.naming import ORIGINAL, relative_asset_path
 from usdsmoke.base.publish import publish_file
+from usdsmoke.base.record_format import RunRecord
 from usdsmoke.base.time_codes import name_time_codes
+from usdsmoke.base.volume import StageSource
 from usdsmoke.config.run_sections import StageConfig
 from usdsmoke.usd.diagnostics import readable_values
 from usdsmoke.usd.layer_record import read_record, record_values
@@ -154,7 +156,7 @@ def _switched(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:
             below = source
             if record.settings.get("stage", {}).get("restylize"):  # made from the looks below it
                 below = _below(composed, layer)
-            volumes = find_volumes(below, StageConfig(), with_requests=False, problems=[])
+            volumes = _volumes_of(record, below)
         except UsdSmokeError:
             continue  # other rules report it
         at = partial(_time_on, composed, layer)
@@ -174,30 +176,47 @@ def _below(composed: Usd.Stage, look: Sdf.Layer) -> Usd.Stage:
     return stage
 
 
+def _volumes_of(record: RunRecord, stage: Usd.Stage) -> StageSource:
+    """The Volumes of a look that a stage has, found as its run has found them.
+
+    Raises:
+        UsdSmokeError: there is none, or one cannot be used.
+    """
+    prims = dict.fromkeys(frame.prim for frame in record.frames)
+    here = [path for path in prims if stage.GetPrimAtPath(path).IsA(UsdVol.Volume)]
+    if not here:
+        raise VolumeNotFound("the stage has no Volume of the look. Select the variant that has it.")
+    density = record.settings.get("stage", {}).get("density", "density")
+    config = StageConfig(prims=here, density=density)
+    return find_volumes(stage, config, with_requests=False, problems=[])
+
+
 def _added(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:
     """Volumes with a look whose source has more timeCodes than it had when the look was made."""
-    try:
-        then, now = (
-            {
-                volume.prim_path: set(volume.time_codes) if volume.animated else set()
-                for volume in find_volumes(
-                    stage, StageConfig(), with_requests=False, problems=[]
-                ).volumes
-            }
-            for stage in (composed, source)
-        )
-    except UsdSmokeError:
-        return []  # other rules report it
     found = []
-    for path, codes in now.items():
-        schemas = composed.GetPrimAtPath(path).GetPrimTypeInfo().GetAppliedAPISchemas()
-        if LOOK_API in schemas and path in then and (more := codes - then[path]):
-            text = (
-                f"the source has {name_time_codes(sorted(more))} since the look was made, and "
-                "the look hides them. Make it longer, with more --frames."
+    for layer in composed.GetUsedLayers():
+        if not record_values(layer):
+            continue
+        try:
+            record = read_record(layer)
+            then, now = (
+                {
+                    volume.prim_path: set(volume.time_codes) if volume.animated else set()
+                    for volume in _volumes_of(record, stage).volumes
+                }
+                for stage in (composed, source)
             )
-            found.append(Finding(Severity.ERROR, "LookStale", path, None, text))
-    return found
+        except UsdSmokeError:
+            continue  # other rules report it
+        for path, codes in now.items():
+            schemas = composed.GetPrimAtPath(path).GetPrimTypeInfo().GetAppliedAPISchemas()
+            if LOOK_API in schemas and path in then and (more := codes - then[path]):
+                text = (
+                    f"the source has {name_time_codes(sorted(more))} since the look was made, and "
+                    "the look hides them. Make it longer, with more --frames."
+                )
+                found.append(Finding(Severity.ERROR, "LookStale", path, None, text))
+    return list(dict.fromkeys(found))
 
 
 def _time_on(stage: Usd.Stage, layer: Sdf.Layer, path: str, time_code: float) -> float:

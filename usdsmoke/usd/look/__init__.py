@@ -9,22 +9,25 @@
 - `storm_shader`: the volume shader for Hydra Storm
 - `attributes`: what a Volume records of the run
 - `root`: the root layer, and the asset with a variant for each look
+- `checks`: what is refused before anything is computed
 
 New layers are written through Sdf. The source's layers and the session layer are only read.
 """
 
 from usdsmoke.usd.look.attributes import result_hashes
+from usdsmoke.usd.look.checks import check_root_file, check_search_paths
 from usdsmoke.usd.look.look import author_look, published_runs, shader_hashes
 from usdsmoke.usd.look.material import shader_files
 from usdsmoke.usd.look.records import LookFiles, StylizedVolume, look_files
-from usdsmoke.usd.look.root import check_asset, check_asset_file, copy_stage_metadata
+from usdsmoke.usd.look.root import check_asset, copy_stage_metadata
 
 __all__ = [
     "LookFiles",
     "StylizedVolume",
     "author_look",
     "check_asset",
-    "check_asset_file",
+    "check_root_file",
+    "check_search_paths",
     "copy_stage_metadata",
     "look_files",
     "published_runs",

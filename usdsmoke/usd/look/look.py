@@ -17,6 +17,7 @@ from usdsmoke.config.run_sections import LayerConfig
 from usdsmoke.usd.diagnostics import captured_diagnostics, readable_values, short_reason
 from usdsmoke.usd.layer_record import add_digests, put_record, record_values
 from usdsmoke.usd.look.attributes import author_attributes
+from usdsmoke.usd.look.checks import check_root_file
 from usdsmoke.usd.look.extent import author_extent
 from usdsmoke.usd.look.fields import (
     author_field,
@@ -58,13 +59,14 @@ def author_look(
 
     Raises:
         LayerError: no result was given, a result does not fit its source, the source has no file,
-            or a target is one of the source's own layers.
+            a target is one of the source's own layers, or somebody has added to the root layer.
         WriteFailed: a file could not be written or came back different.
     """
     folder = Path(output_folder).absolute()
     files = look_files(source.file_path, folder, config)
     _check_volumes(volumes)
     _check_targets(stage, files)
+    check_root_file(files, config.mode, Path(source.file_path))  # edited while the run went on
     look = _author_look_layer(stage, volumes, folder, config, record, earlier or EarlierLooks())
     for name, text in _shaders(volumes, config).items():
         files = replace(files, shader=folder / name)

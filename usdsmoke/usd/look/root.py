@@ -14,8 +14,8 @@ Opinions of a class that a prim inherits from come along with the prim. A refere
 itself would make them stronger than those of the inheriting prim.
 """
 
+import os
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from usdsmoke.base.naming import (
 )
 from usdsmoke.usd.diagnostics import captured_diagnostics
 from usdsmoke.usd.layer_record import RECORD_KEY, record_values
+from usdsmoke.usd.values import anchored_asset
 
 # Composition, the source's own story, and rights of its owner: they stay with the source.
 _NOT_COPIED = (
@@ -106,9 +107,10 @@ def _reanchored(value: Any, layer: Sdf.Layer, folder: Path) -> Any:
     """``value`` with the asset paths in it spelt for a layer in ``folder``."""
     if isinstance(value, dict):
         return {key: _reanchored(item, layer, folder) for key, item in value.items()}
-    if isinstance(value, Sdf.AssetPath) and value.path.startswith(("./", "../")):
-        there = Sdf.ComputeAssetPathRelativeToLayer(layer, value.path)
-        return Sdf.AssetPath(relative_asset_path(there, folder))
+    if isinstance(value, (list, Sdf.AssetPathArray)):
+        return type(value)([_reanchored(item, layer, folder) for item in value])
+    if isinstance(value, Sdf.AssetPath) and not os.path.isabs(value.path):
+        return anchored_asset(value, layer, folder)
     return value
 
 
@@ -143,31 +145,6 @@ def check_asset(stage: Usd.Stage) -> None:
             prim already has a variant set called look.
     """
     _checked_targets(stage)
-
-
-def check_asset_file(file_path: Path, source_file: Path) -> None:
-    """Refuse to replace an asset of another source, or a file of somebody else.
-
-    Args:
-        file_path: of the asset that will be written.
-        source_file: the root layer of its source.
-
-    Raises:
-        LayerError: there is such a file.
-    """
-    if not file_path.exists():
-        return
-    theirs = ""
-    with suppress(Tf.ErrorException), captured_diagnostics():
-        layer = Sdf.Layer.OpenAsAnonymous(str(file_path), metadataOnly=True)
-        theirs = str(layer.customLayerData.get(ASSET_SOURCE, "")) if layer else ""
-    if theirs and (file_path.parent / theirs).resolve() == source_file.resolve():
-        return
-    found = f"holds the looks of {theirs}" if theirs else "is not an asset of usdsmoke"
-    raise LayerError(
-        f"{file_path} {found}, and would be replaced. Choose another output folder, or --mode "
-        "sublayer."
-    )
 
 
 def _checked_targets(stage: Usd.Stage) -> _ExternalTargets:

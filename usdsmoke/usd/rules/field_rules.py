@@ -48,9 +48,16 @@ def check_targets(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
                 f"{prim.GetTypeName() or 'none'} and holds no field. Correct its target: one "
                 "OpenVDBAsset prim."
             )
+        elif not prim.IsActive():
+            message = (
+                f"the relationship leads to {listed}, which is inactive: the field is not shown. "
+                "Activate it, or remove the relationship."
+            )
         else:
             continue
-        problems.append(Problem(Severity.ERROR, where, message))
+        is_minor = prim is not None and not prim.IsActive() and name != DENSITY
+        severity = Severity.WARN if is_minor else Severity.ERROR
+        problems.append(Problem(severity, where, message))
     return problems
 
 

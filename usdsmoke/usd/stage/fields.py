@@ -142,6 +142,8 @@ def _required_prim(volume: Usd.Prim, name: str, targets: list[Sdf.Path]) -> Usd.
     prim = _openvdb_prim(volume, targets)
     if isinstance(prim, str):
         advice = "Correct its target: one OpenVDBAsset prim."
+        if prim.endswith("inactive"):
+            advice = "Activate it."
         if prim.endswith("Asset"):  # another program's fields
             advice = (
                 "usdsmoke reads only OpenVDB files: convert the volume to .vdb, and point an "
@@ -159,6 +161,8 @@ def _where(volume: Usd.Prim, name: str) -> str:
 def _openvdb_prim(volume: Usd.Prim, targets: list[Sdf.Path]) -> Usd.Prim | str:
     """The OpenVDBAsset at the one target, or what is wrong with it, in words for an error."""
     prim = target_prim(volume.GetStage(), targets)
+    if prim and not prim.IsActive():
+        return f"leads to <{targets[0]}>, which is inactive"
     if prim and prim.IsA(UsdVol.OpenVDBAsset):
         return prim
     if not targets:

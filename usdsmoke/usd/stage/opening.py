@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 from typing import TypeAlias
 
-from pxr import Sdf, Usd
+from pxr import Ar, Sdf, Usd
 
 from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.usd.diagnostics import check_is_stage, open_quietly
@@ -52,7 +52,25 @@ def stage_file(stage: StageOrFile) -> Path:
             f"the stage {root.identifier} has muted layers ({', '.join(stage.GetMutedLayers())}). "
             "Unmute them, or export the stage and give the file."
         )
+    if part := _seen_otherwise(stage):
+        raise StageError(
+            f"the stage {root.identifier} {part}, and its file is opened without. Open the stage "
+            "without it, or give its file."
+        )
     return Path(root.realPath)
+
+
+def _seen_otherwise(stage: Usd.Stage) -> str:
+    """How an open stage shows something else than its file does; "" where it does not."""
+    everything = Usd.StagePopulationMask.All()
+    if stage.GetPopulationMask() != everything:
+        return "has a population mask"
+    if stage.GetLoadRules() != Usd.StageLoadRules.LoadAll():
+        return "has payloads that are not loaded"
+    usual = Ar.GetResolver().CreateDefaultContextForAsset(stage.GetRootLayer().realPath)
+    if stage.GetPathResolverContext() != usual:
+        return "has a resolver context of its own"
+    return ""
 
 
 def layer_files(stage: Usd.Stage) -> list[str]:
