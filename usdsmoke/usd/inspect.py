@@ -108,8 +108,10 @@ def grids_beside(volume: VolumeSource, header: FileHeader) -> list[str]:
 
     A velocity of a usual name is not among them: it is found without one.
     """
-    fields = volume.frames[0].fields
-    used = {"", *volume.other_fields, *(field.grid_name for field in fields.values())}
+    fields = volume.frames[0].fields.values()
+    used = {"", *volume.other_fields, *(field.grid_name for field in fields)}
+    if any(not field.grid_name and field.file_path == header.file_path for field in fields):
+        used |= {grid.name for grid in header.grids[: len(header.grids) == 1]}  # the only one
     used |= {grid.name for grid in find_velocity(header)}
     return list(dict.fromkeys(grid.name for grid in header.grids if grid.name not in used))
 

@@ -1,4 +1,4 @@
-"""Transforms that leave no smoke to be seen, or show it in perspective."""
+"""Transforms that leave no smoke to be seen, or show it in perspective; what is not shown."""
 
 import pytest
 
@@ -12,10 +12,12 @@ from tests.fixtures.usd_fixtures import (
     write_text,
 )
 from tests.unit.usd.test_stage_refusals import refuse
-from usdsmoke.base.errors import StageError
+from usdsmoke.base.errors import FieldNotFound, StageError
 from usdsmoke.config.run_sections import StageConfig
-from usdsmoke.usd.rules import validate
+from usdsmoke.usd.inspect import grids_beside
+from usdsmoke.usd.rules import Severity, validate
 from usdsmoke.usd.stage import find_volumes, open_stage
+from usdsmoke.vdb.header import read_header
 
 
 @pytest.mark.parametrize("scale", ["(0, 1, 1)", "(1, inf, 1)", "(1, nan, 1)"])
@@ -45,3 +47,47 @@ def test_a_perspective_is_refused_and_a_shear_is_not(tmp_path):
     refuse(tmp_path, body(0, 2), StageError, "</World/smoke/density> at timeCode 1.*perspective")
     write_text(tmp_path / "shot.usda", world(body(0, 1)))
     assert find_volumes(open_stage(tmp_path / "shot.usda"), StageConfig()).volumes
+
+
+def test_an_inactive_field_is_not_used(tmp_path):
+    write_sequence(tmp_path, (1, 2), names=("density", "vel"))
+    both = "rel field:density = </World/smoke/density>\nrel field:vel = </World/smoke/vel>"
+    velocity = density_prim(sequence((1, 2)), "vel", grid='token fieldName = "vel"')
+    body = volume_prim(density_prim(sequence((1, 2))) + velocity, "smoke", both)
+    stage = open_stage(write_text(tmp_path / "shot.usda", world(body)))
+    for name, severity in {"vel": Severity.WARN, "density": Severity.ERROR}.items():
+        stage.GetPrimAtPath(f"/World/smoke/{name}").SetActive(False)
+        if name == "vel":
+            (volume,) = find_volumes(stage, StageConfig()).volumes
+            assert set(volume.frames[0].fields) == {"density"}
+        else:
+            with pytest.raises(FieldNotFound, match="inactive"):
+                find_volumes(stage, StageConfig())
+        found = {item.prim_path: item for item in validate(stage)}
+        assert found[f"/World/smoke.field:{name}"].severity == severity
+
+
+def test_what_is_invisible_at_all_selected_time_codes_is_left_out_unless_it_is_named(tmp_path):
+    write_sequence(tmp_path, (1, 2, 3))
+    late = sampled("token visibility", {1: '"invisible"', 3: '"inherited"'})
+    other = density_prim(sequence((1, 2, 3)))
+    body = volume_prim(other) + volume_prim(late + other, "late")
+    stage = open_stage(write_text(tmp_path / "shot.usda", world(body)))
+    taken = {}
+    for frames in ("1-2", "1-3"):
+        found = find_volumes(stage, StageConfig(frames=frames))
+        taken[frames] = [volume.prim_path for volume in found.volumes]
+        assert ("/World/late" in found.omitted) == (frames == "1-2")
+    assert taken == {"1-2": ["/World/smoke"], "1-3": ["/World/smoke", "/World/late"]}
+    named = find_volumes(stage, StageConfig(frames="1-2", prims=["/World/late"]))
+    assert [volume.prim_path for volume in named.volumes] == ["/World/late"]
+
+
+@pytest.mark.parametrize(("names", "beside"), [(("soot",), []), (("density", "heat"), ["heat"])])
+def test_the_one_grid_of_a_file_needs_no_name(tmp_path, names, beside):
+    write_sequence(tmp_path, (1,), names=names)
+    grid = "" if len(names) == 1 else 'token fieldName = "density"'
+    body = volume_prim(density_prim(sequence((1,)), grid=grid))
+    stage = open_stage(write_text(tmp_path / "shot.usda", world(body)))
+    (volume,) = find_volumes(stage, StageConfig()).volumes
+    assert grids_beside(volume, read_header(tmp_path / "cache/smoke.0001.vdb")) == beside

@@ -239,10 +239,12 @@ def _inspected_volume(volume: Mapping[str, Any]) -> str:
 def _inspected_field(
     frame: Mapping[str, Any], name: str, field: Mapping[str, Any]
 ) -> tuple[str, ...]:
-    named = [grid for grid in field.get("grids", ()) if grid["name"] == field["grid"]]
+    grids = list(field.get("grids", ()))
+    is_only = not field["grid"] and len(grids) == 1
+    named = grids if is_only else [grid for grid in grids if grid["name"] == field["grid"]]
     index = (field["grid_index"] or 0) if len(named) > 1 else 0  # it tells equal names apart
     grid: Mapping[str, Any] = next((grid for grid in named if grid["index"] == index), {})
-    label = f"{field['grid']}[{index}]" if index else field["grid"]
+    label = f"{field['grid']}[{index}]" if index else grid.get("name", field["grid"])
     kind = f"{grid.get('type', '?')}{' (half)' if grid.get('half') else ''}"
     voxels = grid.get("active_voxels")
     return (

@@ -37,7 +37,9 @@ def place_notes(
                 f"the look of the prototype <{volume.GetPath()}> is made for its own place; the "
                 f"PointInstancer <{instancer.GetPath()}> shows it in others"
             )
-    if hidden := _hidden_at(volume, {field.time_code for field in fields}):
+    codes = {field.time_code for field in fields}
+    hidden = hidden_at(volume, codes)
+    if 0 < len(hidden) < len(codes):  # else somebody named it
         notes.append(
             f"<{volume.GetPath()}> is invisible at {name_time_codes(hidden)} and stylized there "
             "like elsewhere. Leave these timeCodes out with --frames to save their time"
@@ -45,15 +47,14 @@ def place_notes(
     return tuple(notes)
 
 
-def _hidden_at(volume: Usd.Prim, time_codes: Collection[float]) -> list[float]:
-    """The timeCodes at which a Volume is invisible; none where it always is: somebody named it."""
+def hidden_at(volume: Usd.Prim, time_codes: Collection[float]) -> list[float]:
+    """The timeCodes at which a Volume is invisible."""
     shown = UsdGeom.Imageable(volume)
-    hidden = [
+    return [
         code
         for code in sorted(time_codes)
         if shown.ComputeVisibility(code) == UsdGeom.Tokens.invisible
     ]
-    return hidden if len(hidden) < len(time_codes) else []
 
 
 def stands_with(volume: Usd.Prim, field: FieldSource) -> bool:

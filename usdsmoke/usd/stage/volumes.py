@@ -48,13 +48,14 @@ from usdsmoke.usd.stage.fields import (
     find_fields,
     late_velocity,
 )
-from usdsmoke.usd.stage.places import find_instancers, place_notes
+from usdsmoke.usd.stage.places import find_instancers, hidden_at, place_notes
 from usdsmoke.usd.values import selected_variants, vdb_problem
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
 _OF_ONE_VOLUME = (FieldNotFound, AssetNotResolved, StageError)
 # An error without its traceback, which would keep the stage's layers in memory for long.
 _Refusal: TypeAlias = tuple[type[StageError], str]
+_HIDDEN = "it is invisible at all selected timeCodes. Name the Volume with --prim to use it."
 _STATIC_TIME_CODE = 1.0  # of what is not animated, on a stage without a startTimeCode
 
 
@@ -117,6 +118,10 @@ def find_volumes(
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
         absent = list[str]()
+        is_named = outline.path in config.prims
+        if selected and not is_named and len(hidden_at(outline.prim, selected)) == len(selected):
+            omitted[outline.path] = _HIDDEN
+            continue
         if config.allow_missing or problems is not None:
             selected, absent = _split_by_file(outline, selected)
         if problems is not None and not (config.allow_missing and selected):
