@@ -69,13 +69,13 @@ def check_inputs(item: FoundRecord) -> list[Change]:
         file = str(item.file)
         return [Change.note("unchecked", file, "settings that this version knows", str(error))]
     stage = item.place(item.record.stage)
-    job = _job(item, config) if stage.is_file() else None
+    job = _job(item, config) if os.path.isfile(stage) else None
     changes = [
         *_check_styles(item),
         *_check_features(item.record, config, job),
         *_check_start(item, config),
     ]
-    if not stage.is_file():
+    if not os.path.isfile(stage):
         lost = Change("stage-missing", str(stage), "the source stage", "no file")
         return [lost, *_check_files(item, stage, None), *changes]
     files = _check_files(item, stage, job)
@@ -95,7 +95,7 @@ def _job(item: FoundRecord, config: Config) -> Job | None:
 def _check_styles(item: FoundRecord) -> Iterator[Change]:
     for style in item.record.styles:
         file, expected = item.place(style.file), f"sha256 {shown(style.sha256)}"
-        if not file.is_file():
+        if not os.path.isfile(file):
             yield Change("style-missing", str(file), expected, "no file")
         elif (found := hash_file(file)) != style.sha256:
             yield Change("style-edited", str(file), expected, f"sha256 {shown(found)}")
@@ -128,7 +128,7 @@ def _check_start(item: FoundRecord, config: Config) -> Iterator[Change]:
     files |= {item.place(network.file): network.sha256 for network in record.networks}
     for file, digest in files.items():
         expected = f"sha256 {shown(digest)}"
-        if not file.is_file():
+        if not os.path.isfile(file):
             yield Change("start-missing", str(file), expected, "no file")
         elif (found := hash_file(file)) != digest:
             yield Change("start-edited", str(file), expected, f"sha256 {shown(found)}")
@@ -223,7 +223,7 @@ def _check_files(item: FoundRecord, stage: Path, job: Job | None) -> list[Change
     changes, other = [], {}
     for name, digest in item.record.source_files.items():
         file, expected = Path(os.path.normpath(stage.parent / name)), f"sha256 {shown(digest)}"
-        if not file.is_file():
+        if not os.path.isfile(file):
             changes.append(Change("input-missing", str(file), expected, "no file"))
         elif (found := hash_file(file)) != digest:
             found = f"sha256 {shown(found)}, written {written_at(file)}"

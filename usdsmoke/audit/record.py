@@ -131,7 +131,7 @@ def _in_folder(folder: Path) -> list[FoundRecord]:
 def _in_runs(folder: Path) -> list[FoundRecord]:
     """What the runs of an output folder recorded, or one run in its own folder."""
     own = folder / RECORD_FILE
-    records = [own] if own.is_file() else find_run_files(folder, RECORD_FILE)
+    records = [own] if os.path.isfile(own) else find_run_files(folder, RECORD_FILE)
     return [replace(_of_run(record), lost_layer=folder) for record in records]
 
 
@@ -265,7 +265,7 @@ def _resolve(name: str, beside: Path) -> Path | None:
     resolver = Ar.GetResolver()
     identifier = resolver.CreateIdentifier(name, Ar.ResolvedPath(str(beside)))
     resolved = str(resolver.Resolve(identifier))
-    return Path(resolved) if resolved and Path(resolved).is_file() else None
+    return Path(resolved) if resolved and os.path.isfile(resolved) else None
 
 
 def _open(path: Path) -> Sdf.Layer | None:

@@ -114,7 +114,7 @@ def _check_shaders(item: FoundRecord) -> Iterator[Change]:
     """Files of shaders that the look's material names."""
     for name in shader_files(item.layer) if item.layer is not None else ():
         file, recorded = item.place(name), item.record.shaders.get(os.path.normpath(name), "")
-        if not file.is_file():
+        if not os.path.isfile(file):
             expected = "a shader of the look's material"
             yield Change("result-missing", str(file), expected, "no file")
         elif recorded and (found := hash_file(file)) != recorded:
@@ -127,7 +127,7 @@ def _check_rest(item: FoundRecord) -> Iterator[Change]:
         return
     with suppress(ConfigError):
         root = look_files(item.record.stage, item.folder, recorded_config(item).layer).root_stage
-        if root is not None and item.record.stage and not root.is_file():
+        if root is not None and item.record.stage and not os.path.isfile(root):
             yield Change.note("root-missing", str(root), "the stage to open", "no file")
     if any(run.run_id == item.record.run for run in find_runs(item.folder)):
         return

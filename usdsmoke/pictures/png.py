@@ -5,6 +5,7 @@ files are scene-linear; they are clipped to [0, 1] and encoded, so that the netw
 screen would show them. Embedded colour profiles are applied; images without one are sRGB.
 """
 
+import math
 import os
 import warnings
 from dataclasses import dataclass
@@ -31,6 +32,8 @@ _MOST_WHITE = 0.5  # of a linear image's values
 _BLACK = -0.01  # values above it are colours outside the gamut, or filters that undershoot
 _WHITE = 1.5  # the brightest value of an image that is white, apart from filters that overshoot
 _MAX_PIXELS = 100_000_000  # a 10 000 x 10 000 image; its pixels take 1.2 GB
+_MOST_KEPT = 2**24  # pixels; of more, torch finds no quantiles
+_FAINT = 1e-6  # alpha: what is divided by less may overflow
 
 # What Pillow raises on files that it cannot take.
 _READ_ERRORS = (OSError, RuntimeError, SyntaxError, TypeError, ValueError, EOFError, MemoryError)
@@ -86,9 +89,26 @@ def read_style_image(file_path: str | os.PathLike[str]) -> StyleImage:
         share = alpha[..., None].astype(np.float64)
         mean = (pixels * share).sum(axis=(0, 1)) / share.sum()
         pixels = pixels * share + mean * (1.0 - share)
-    pixels = np.ascontiguousarray(pixels, np.float32)
-    notes = "; ".join(filter(None, (_without_strokes(where, pixels), note)))
+    pixels, reduced = _reduced(where, np.ascontiguousarray(pixels, np.float32))
+    notes = "; ".join(filter(None, (_without_strokes(where, pixels), note, reduced)))
     return StyleImage(where.name, pixels, sha256, str(where.absolute()), notes)
+
+
+def _reduced(where: Path, pixels: np.ndarray) -> tuple[np.ndarray, str]:
+    """Pixels [H W 3] of at most ``_MOST_KEPT``, by whole blocks, and a note where they are fewer.
+
+    Pictures have some hundred pixels: more of the style only take memory.
+    """
+    height, width = pixels.shape[:2]
+    times = math.ceil(math.sqrt(height * width / _MOST_KEPT))
+    if times == 1:
+        return pixels, ""
+    channels = (Image.fromarray(pixels[..., number]).reduce(times) for number in range(3))
+    fewer = np.stack([np.asarray(channel) for channel in channels], axis=-1)
+    return fewer, (
+        f"the style image {where.name} has {width} x {height} pixels, and is reduced to "
+        f"{fewer.shape[1]} x {fewer.shape[0]}"
+    )
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:
@@ -210,7 +230,8 @@ def _read_exr(where: Path) -> tuple[np.ndarray, np.ndarray | None, str]:
     if alpha is not None:
         alpha = np.clip(alpha, 0.0, 1.0)
         _check_finite(f"the alpha channel of the style image {where}", alpha)
-        linear = linear / np.where(alpha > 0.0, alpha, 1.0)[..., None]  # stored premultiplied
+        # stored premultiplied; what is hardly there has no colour
+        linear = linear / np.where(alpha > _FAINT, alpha, 1.0)[..., None]
     note = ""
     if names[0] == "R" and any(primaries) and not np.allclose(primaries, _REC709, atol=0.005):
         note = (
@@ -257,7 +278,11 @@ def _check_pixels(
             f"{list(pixels.shape)}, not [H W C] with C one of {', '.join(map(str, components))}. "
             "This is a bug in usdsmoke. Please report it."
         )
-    _check_finite(f"cannot write {os.fspath(file_path)}: it", pixels)
+    if count := int((~np.isfinite(pixels)).sum()):
+        raise ImageError(
+            f"cannot write {os.fspath(file_path)}: it has "
+            f"{count_text(count, 'NaN or infinite number')}. Check the values of the grids."
+        )
 
 
 def _check_same(file_path: str | os.PathLike[str], written: np.ndarray, found: np.ndarray) -> None:

@@ -31,6 +31,7 @@ from usdsmoke.planning.make_plan import check_plan, make_plan
 from usdsmoke.planning.materials import front_brightness
 from usdsmoke.planning.networks import check_features
 from usdsmoke.planning.output_folder import (
+    check_characters,
     check_output_folder,
     check_writable,
     link_notes,
@@ -174,6 +175,7 @@ def prepare_job(request: Request, fits: bool = True, parts: Mapping[str, int] | 
     style_files = tuple(Path(image) for image in style_paths(request.style))
     if style_files:  # they replace the Volumes' own images and weights
         style_shares(config.style, len(style_files))
+    check_characters(output, Path(request.stage), style_files)
     # The stage: Volumes, their own settings, cameras, lights.
     stage, earlier, resolved = read_source(stage_file(request.stage), config, style_files)
     resolved, source = _refined(resolved, parts or {}), resolved.source

@@ -7,6 +7,7 @@ from pathlib import Path
 from usdsmoke.base.errors import LayerError, WriteFailed
 from usdsmoke.base.naming import find_look_layers, relative_asset_path
 
+_CONTROL = "".join(map(chr, (*range(32), 127)))
 _LONGEST_NAME = 230  # bytes: most file systems take 255, and a temporary name is longer by 22
 
 
@@ -41,6 +42,27 @@ def resolve_output(output: str | os.PathLike[str]) -> Path:
             "search), or choose another output folder."
         )
     return folder
+
+
+def check_characters(output: Path, stage: Path, style_files: Sequence[Path]) -> None:
+    """Refuse paths that layers and records cannot hold.
+
+    Args:
+        output: the output folder, settled.
+        stage, style_files: absolute.
+
+    Raises:
+        LayerError: with the path and its character.
+    """
+    parts = [(str(output), "\\"), (relative_asset_path(stage, output), "\\" + _CONTROL)]
+    parts += [(str(file_path), "") for file_path in style_files]
+    for name, refused in parts:
+        found = [c for c in name if c in refused or "\ud800" <= c <= "\udfff"]
+        if found:
+            raise LayerError(
+                f"the path {name!a} has the character {found[0]!a}, which USD or JSON "
+                "files cannot hold. Rename the file or the folder."
+            )
 
 
 def link_notes(output: str | os.PathLike[str], folder: Path, source: Path) -> tuple[str, ...]:

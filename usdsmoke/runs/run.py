@@ -15,6 +15,7 @@ command, and a result that is being replaced keeps its files until the look laye
 last, points to the new ones. Whatever no layer points to is not a result.
 """
 
+import errno
 import json
 import os
 import shutil
@@ -24,6 +25,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from usdsmoke.base.errors import FileUnreadable
 from usdsmoke.base.frame_report import FrameReport
 from usdsmoke.base.json_records import read_json
 from usdsmoke.base.locks import hold_file
@@ -39,6 +41,8 @@ from usdsmoke.base.record_format import hash_file, hash_values, new_run_id, utc_
 from usdsmoke.runs.manifests import CoarseRecord, WindowRecord
 
 _SCENES = "scenes.json"
+# errors that say nothing of a file's content: it must not pass for a damaged one
+_PASSING = {errno.EACCES, errno.EPERM, errno.EIO, errno.ESTALE, errno.ETIMEDOUT}
 _DIGEST = "sha256"  # of the other values of a file
 _COARSE = "coarse.json"
 _CHECKPOINTS = "checkpoints"
@@ -356,8 +360,17 @@ def _read_json(file_path: Path) -> dict[str, Any]:
 
     Raises:
         ValueError: the file was damaged or edited since.
+        FileUnreadable: it may not be read, or the disk or its server failed.
     """
-    values = read_json(file_path.read_text(encoding="utf-8"))
+    try:
+        text = file_path.read_text(encoding="utf-8")
+    except OSError as error:
+        if error.errno not in _PASSING:
+            raise
+        raise FileUnreadable(
+            f"cannot read {file_path}: {error.strerror}. Check its permissions and its disk."
+        ) from None
+    values = read_json(text)
     digest = values.pop(_DIGEST)
     if digest != hash_values(values):
         raise ValueError(f"{file_path} is damaged")

@@ -10,9 +10,11 @@ and when its memory has grown. It ends when its parent ends, even if the parent 
 """
 
 import atexit
+import errno
 import fcntl
 import json
 import os
+import resource
 import select
 import shutil
 import signal
@@ -85,9 +87,12 @@ def run_child(
             files = [Path(folder) / f"out{n}.npy" for n in range(answer["n_arrays"])]
             return answer["answer"], [np.load(file, allow_pickle=False) for file in files]
     except OSError as error:
+        advice = "Free some space there or set TMPDIR to another folder."
+        if resource.getrlimit(resource.RLIMIT_FSIZE)[0] != resource.RLIM_INFINITY:
+            advice = "Raise the limit on the size of files (ulimit -f), or free some space there."
         raise errors.WriteFailed(
             f"cannot hand grids over in {tempfile.gettempdir()}: {error.strerror or error}. "
-            "Free some space there or set TMPDIR to another folder."
+            f"{advice}"
         ) from error
 
 
@@ -129,6 +134,7 @@ class _Worker:
 
         Raises:
             ChildFailure: it ended, or did not answer within ``seconds`` by the clock.
+        OSError: it could not write its answer.
         """
         self.messages.seek(0)
         self.messages.truncate()
@@ -139,6 +145,8 @@ class _Worker:
         if not waiting.poll(1000 * seconds):
             raise ChildFailure(f"it took longer than {seconds:.3g} s and was stopped")
         word = self.answers.read(16)
+        if word == b"full\n":  # ``worker.FULL``
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if word:
             return word == b"next\n"
         raise _Ended(self.wait(_FAREWELL))
@@ -249,7 +257,7 @@ def _interrupts_held() -> Iterator[None]:
 
 def _environment() -> dict[str, str]:
     """This process's own, with its search path, one thread each, and nothing loaded late."""
-    search = [_PACKAGE_PARENT, *(entry for entry in sys.path if entry)]
+    search = [_PACKAGE_PARENT, *(entry for entry in sys.path if os.path.isabs(entry))]
     return {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(search),

@@ -3,7 +3,8 @@
 
 ``python -m usdsmoke.vdb.worker`` reads the name of a folder from stdin, a JSON text on a line. It
 answers the ``request.json`` there with ``answer.json`` and arrays beside it. Then it prints
-``next`` when it waits for another folder, or ``end`` when it ends itself.
+``next`` when it waits for another folder, ``end`` when it ends itself, or ``full`` when it ends
+because the answer could not be written.
 
 The parent checks the file's header before a request, and the result after it. No state is carried
 from one request to the next: a worker ends after a refused request, and when its memory has grown.
@@ -30,6 +31,7 @@ from usdsmoke.vdb.boxes import LEAST_VOXEL, check_dense_size
 # What the bindings raise on files and values they cannot take, over all versions.
 _BINDING_ERRORS = (ArithmeticError, KeyError, OSError, RuntimeError, TypeError, ValueError)
 LEAF = 8  # voxels along the side of a leaf node
+FULL = b"full\n"  # said in place of an answer that the folder for temporary files has no room for
 _GROWTH = 2**28  # bytes of address space beyond the first answer's that end a worker
 
 
@@ -40,7 +42,12 @@ def main() -> int:
     first, folder = 0, ""
     for line in sys.stdin:
         folder = json.loads(line)
-        answered = answer_request(Path(folder), max(0, _address_space() - first) if first else 0)
+        grown = max(0, _address_space() - first) if first else 0
+        try:
+            answered = answer_request(Path(folder), grown)
+        except OSError:  # not even the answer could be written
+            os.write(answers, FULL)
+            return 0
         give_back_memory()
         first = first or _address_space()
         goes_on = answered and _address_space() - first <= _GROWTH
@@ -143,6 +150,7 @@ def _hand_over(values: np.ndarray, file_path: Path) -> None:
     try:
         np.save(file_path, values, allow_pickle=False)
     except OSError as error:  # not of the file that is read
+        file_path.unlink(missing_ok=True)  # it takes the room that the answer needs
         raise _NotHandedOver(error.strerror or str(error)) from error
 
 

@@ -152,11 +152,26 @@ def _cluster_directions(
     return centres
 
 
+def _eigen(matrix: Tensor) -> tuple[Tensor, Tensor]:
+    """Eigenvalues and vectors of a symmetric matrix.
+
+    Of few points in many dimensions most values are equal, and 32 bits may fail to tell them apart.
+    """
+    try:
+        values, vectors = torch.linalg.eigh(matrix)
+        if bool(values.isfinite().all() & vectors.isfinite().all()):
+            return values, vectors
+    except torch.linalg.LinAlgError:
+        pass
+    values, vectors = torch.linalg.eigh(matrix.double())
+    return values.to(matrix), vectors.to(matrix)
+
+
 def _principal_axes(points: Tensor, n: int) -> Tensor:
     """[n D] whitening rows of the leading principal axes, with a floor against near-empty ones."""
     points = points[:: -(-len(points) // N_FOR_AXES)]
     centred = points - points.mean(0)
-    values, vectors = torch.linalg.eigh(centred.T @ centred / max(len(points), 1))
+    values, vectors = _eigen(centred.T @ centred / max(len(points), 1))
     n = min(n, len(values))
     values, vectors = values[-n:], vectors[:, -n:]
     floor = WHITENING_FLOOR * values[-1].clamp_min(1e-12)

@@ -5,6 +5,8 @@ No torch here, because the plan uses it.
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from usdsmoke.base.errors import ConfigError
 from usdsmoke.base.naming import EMISSION
 from usdsmoke.base.storage import check_half
@@ -150,7 +152,7 @@ def step_iterations(
 
 
 def check_storable(density: DenseField, time_code: float, gamma_w: float, config: Config) -> None:
-    """Refuse 16-bit floats that cannot hold what a frame will have, where they are asked for.
+    """Refuse floats that cannot hold what a frame will have: of 32 bits, or of 16 if asked for.
 
     Args:
         density: of the frame, as it will be stylized.
@@ -158,11 +160,17 @@ def check_storable(density: DenseField, time_code: float, gamma_w: float, config
         config: of the frame.
 
     Raises:
-        ConfigError: see ``check_half``.
+        ConfigError: see ``check_half``; or the emission is too bright.
     """
+    densest = float(density.values.max(initial=0.0))
+    brightest = brightest_emission(densest, gamma_w, config)
     if config.grids.half:
-        densest = float(density.values.max(initial=0.0))
-        check_half(time_code, densest, brightest_emission(densest, gamma_w, config))
+        check_half(time_code, densest, brightest)
+    if not brightest <= np.finfo(np.float32).max:
+        raise ConfigError(
+            f"the emission at timeCode {time_code:g} reaches up to {brightest:.3g}, which 32-bit "
+            "floats cannot hold. Raise optics.exposure, lower optics.gamma, or scale the Volume."
+        )
 
 
 def brightest_emission(densest: float, gamma_w: float, config: Config) -> float:

@@ -1,12 +1,13 @@
 """Columns of smoke along the pixels of a view: what the thick ones have, and what keeps it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from usdsmoke.base.errors import ConfigError
 from usdsmoke.config.look_sections import OpticsConfig
 from usdsmoke.core.smoke.levels import bounded, ranked
 from usdsmoke.core.smoke.thicken import Thickening, find_thickening
@@ -14,6 +15,7 @@ from usdsmoke.core.smoke.voxels import Voxels
 from usdsmoke.core.views.cameras import View
 from usdsmoke.core.views.footprint import ColumnSums
 
+MOST_EXTINCTION = 3e38  # per density, 1/stage unit
 DENSE_COLUMNS = 0.95  # rank of the columns that are dense
 FRINGE = 1e-3  # of those: columns below are not counted as smoke
 MUCH = 8.0  # times the thick columns
@@ -161,3 +163,22 @@ def weighted_median(values: Sequence[float], seen: Sequence[SeenSmoke]) -> float
     weight = np.array([len(one.smoke.ijk) for one in seen], float)[order]
     middles = weight.cumsum() - weight / 2
     return float(np.interp(weight.sum() / 2, middles, np.asarray(values)[order]))
+
+
+def checked_extinctions(extinctions: Iterable[float]) -> list[float]:
+    """The same, refused where 32-bit floats cannot hold them: they would be NaN in a picture.
+
+    Args:
+        extinctions: per density, 1/stage unit.
+
+    Raises:
+        ConfigError: one is ``MOST_EXTINCTION`` or more.
+    """
+    found = list(extinctions)
+    if not max(found) < MOST_EXTINCTION:
+        raise ConfigError(
+            f"the extinction per density is {max(found):.3g} per stage unit, more than 32-bit "
+            "floats can hold: the smoke is too thin for voxels of this size, or optics.gamma or "
+            "optics.knee is too extreme. Scale the density or the Volume, or unset these."
+        )
+    return found

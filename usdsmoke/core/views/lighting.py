@@ -179,7 +179,8 @@ def lit_emission(
     positions, forward = smoke.positions, view.forward
     if view.focal is not None:
         forward = positions.numpy() - view.centre
-        forward = forward / np.linalg.norm(forward, axis=1, keepdims=True)
+        length = np.linalg.norm(forward, axis=1, keepdims=True)
+        forward = forward / np.where(length > 0, length, 1.0)  # 0: the eye is in this voxel
     light = lighting.on(positions).scattered(forward) * (gamma_w * smoke.density)[:, None]
     if colour is not None:
         own = torch.from_numpy(colour.at(smoke.ijk.numpy()))

@@ -20,6 +20,7 @@ from usdsmoke.core.smoke.voxels import Placed, Voxels, occupied
 from usdsmoke.core.views.cameras import View, camera_orbit, orbit_view, sample_angles
 from usdsmoke.core.views.column_depths import (
     SeenSmoke,
+    checked_extinctions,
     column_percentile,
     find_curve,
     weighted_median,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 PICTURE_MARGIN = 2  # pixels around the smoke
 LEAST_OPACITY = 1e-12  # thinner smoke is not brightened: float32 pictures hold no more
+TINY = 1e-300  # in place of 0 in a quotient
 LEAST_PIXELS = 16  # along the smoke, even if the camera is far away: fewer hold no structure
 EXPOSED_OPACITY = 0.7  # thick columns with less opacity are exposed to this one
 
@@ -287,8 +289,8 @@ def measure_scene(
     pairs = zip(columns, seen, strict=True)
     share = weighted_median([float((c >= thick).sum() / one.n_columns) for c, one in pairs], seen)
     asked = ((optics.gamma, optics.depth), (optics.gamma_shape, optics.depth_shape))
-    gamma_w, gamma_w_shape = (
-        depth / thick if gamma is None else gamma / voxel for gamma, depth in asked
+    gamma_w, gamma_w_shape = checked_extinctions(
+        depth / max(thick, TINY) if gamma is None else gamma / voxel for gamma, depth in asked
     )
     exposure, exposure_shape = (_exposure(gamma, thick) for gamma in (gamma_w, gamma_w_shape))
     grey = -np.expm1(-gamma_w_shape * np.concatenate(columns)) * exposure_shape

@@ -24,6 +24,7 @@ from usdsmoke.runs.opening.refusals import (
     FORCE,
     find_results,
     other_result,
+    refuse_beside_unfinished,
     refuse_damaged,
     refuse_result,
     unfinished_in_the_way,
@@ -72,7 +73,7 @@ def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
     """The whole job, its run and the windows to do, where the job is a part of a result's frames.
 
     Raises:
-        OutputExists: the result is of other settings or inputs.
+        OutputExists: the result is of other settings or inputs, or beside it is an unfinished run.
     """
     published = published_runs(job.targets.look_layer)
     selected, look = job.config.stage.frames, job.config.layer.look
@@ -90,6 +91,7 @@ def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
                     if changes.only_files and whole.plan.n_frames == job.plan.n_frames:
                         return None  # see ``find_growth``
                     raise other_result(run.output, changes, is_part=True)
+                refuse_beside_unfinished(job, run)
                 return with_settled(whole, run), run, numbers
     return None
 

@@ -45,6 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments without the program's name; None takes the process's own.
     """
     words = sys.argv[1:] if argv is None else argv
+    _open_closed_streams()
     try:
         with _signals_as_exceptions() as seen:
             try:
@@ -63,6 +64,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             gc.freeze()
             with suppress(ValueError):  # not the main thread
                 signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _open_closed_streams() -> None:
+    """Let output go nowhere where the process was started without stdout or stderr, as by cron."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
 
 
 def _main(words: Sequence[str], is_process: bool, seen: list[int]) -> int:

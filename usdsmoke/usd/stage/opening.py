@@ -1,10 +1,11 @@
-"""Opens a stage, and finds its file, its layers and a prim by its path."""
+"""Opens a stage, checks its units, and finds its file, its layers and a prim by its path."""
 
+import math
 import os
 from pathlib import Path
 from typing import TypeAlias
 
-from pxr import Ar, Sdf, Usd
+from pxr import Ar, Sdf, Usd, UsdGeom
 
 from usdsmoke.base.errors import StageError, UsdSmokeError
 from usdsmoke.usd.diagnostics import check_is_stage, open_quietly
@@ -71,6 +72,30 @@ def _seen_otherwise(stage: Usd.Stage) -> str:
     if stage.GetPathResolverContext() != usual:
         return "has a resolver context of its own"
     return ""
+
+
+def check_units(stage: Usd.Stage) -> None:
+    """Refuse rates and units that times and lengths cannot be divided by, and other up axes.
+
+    Raises:
+        StageError: one is not positive, or the up axis is neither Y nor Z.
+    """
+    found = {
+        "timeCodesPerSecond": stage.GetTimeCodesPerSecond(),
+        "framesPerSecond": stage.GetFramesPerSecond(),
+        "metersPerUnit": UsdGeom.GetStageMetersPerUnit(stage),
+    }
+    for name, value in found.items():
+        if not 0 < value < math.inf:
+            raise StageError(
+                f"{name} of {stage.GetRootLayer().identifier} is {value:g}. Author a positive "
+                "number in the layer's metadata."
+            )
+    if (up := UsdGeom.GetStageUpAxis(stage)) not in (UsdGeom.Tokens.y, UsdGeom.Tokens.z):
+        raise StageError(
+            f'upAxis of {stage.GetRootLayer().identifier} is "{up}". Author Y or Z in the '
+            "layer's metadata."
+        )
 
 
 def layer_files(stage: Usd.Stage) -> list[str]:

@@ -38,7 +38,7 @@ def place_notes(
                 f"PointInstancer <{instancer.GetPath()}> shows it in others"
             )
     codes = {field.time_code for field in fields}
-    hidden = hidden_at(volume, codes)
+    hidden = _hidden_at(volume, codes)
     if 0 < len(hidden) < len(codes):  # else somebody named it
         notes.append(
             f"<{volume.GetPath()}> is invisible at {name_time_codes(hidden)} and stylized there "
@@ -47,7 +47,7 @@ def place_notes(
     return tuple(notes)
 
 
-def hidden_at(volume: Usd.Prim, time_codes: Collection[float]) -> list[float]:
+def _hidden_at(volume: Usd.Prim, time_codes: Collection[float]) -> list[float]:
     """The timeCodes at which a Volume is invisible."""
     shown = UsdGeom.Imageable(volume)
     return [
@@ -55,6 +55,11 @@ def hidden_at(volume: Usd.Prim, time_codes: Collection[float]) -> list[float]:
         for code in sorted(time_codes)
         if shown.ComputeVisibility(code) == UsdGeom.Tokens.invisible
     ]
+
+
+def is_never_seen(volume: Usd.Prim, time_codes: Collection[float]) -> bool:
+    """Whether a Volume is invisible at all of several timeCodes; not where there are none."""
+    return 0 < len(time_codes) == len(_hidden_at(volume, time_codes))
 
 
 def stands_with(volume: Usd.Prim, field: FieldSource) -> bool:

@@ -48,7 +48,8 @@ from usdsmoke.usd.stage.fields import (
     find_fields,
     late_velocity,
 )
-from usdsmoke.usd.stage.places import find_instancers, hidden_at, place_notes
+from usdsmoke.usd.stage.opening import check_units
+from usdsmoke.usd.stage.places import find_instancers, is_never_seen, place_notes
 from usdsmoke.usd.values import selected_variants, vdb_problem
 from usdsmoke.usd.volume_requests import read_request, requested_mask
 
@@ -106,7 +107,7 @@ def find_volumes(
         StageError: a rate or unit of the stage is not positive, a Volume is an instance proxy, or a
             timeCode is asked for that does not exist and ``allow_missing`` is off.
     """
-    _check_units(stage)
+    check_units(stage)
     ranges = parse_frames(config.frames)
     prims, omitted = choose_volumes(stage, config.prims, with_instances)
     own = [_own_config(prim, config) if with_requests else config for prim in prims]
@@ -117,21 +118,16 @@ def find_volumes(
     selections, missing = _select_time_codes(outlines, ranges, config)
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
-        absent = list[str]()
-        is_named = outline.path in config.prims
-        if selected and not is_named and len(hidden_at(outline.prim, selected)) == len(selected):
+        is_open = outline.animated and outline.path not in config.prims
+        if is_open and is_never_seen(outline.prim, selected):
             omitted[outline.path] = _HIDDEN
             continue
-        if config.allow_missing or problems is not None:
-            selected, absent = _split_by_file(outline, selected)
-        if problems is not None and not (config.allow_missing and selected):
-            problems += [f"{sentence}." for sentence in absent]
-        elif selected:
-            missing += absent
+        selected, absent = _with_files(outline, selected, config, problems, missing)
         if selected:
             try:
-                found = _read_volume(outline, selected, with_requests, with_styles, problems)
-                volumes.append(found)
+                volumes.append(
+                    _read_volume(outline, selected, with_requests, with_styles, problems)
+                )
             except _OF_ONE_VOLUME as error:
                 errors.append((type(error), str(error)))
         elif problems is None or not absent:
@@ -140,6 +136,24 @@ def find_volumes(
     if not volumes:
         raise _nothing_left([*missing, *omitted.values()], problems)
     return _describe_stage(stage, tuple(volumes), omitted, tuple(missing))
+
+
+def _with_files(
+    outline: _Outline,
+    selected: tuple[float, ...],
+    config: StageConfig,
+    problems: list[str] | None,
+    missing: list[str],
+) -> tuple[tuple[float, ...], list[str]]:
+    """The timeCodes whose files are there, and sentences on others, which the lists get too."""
+    absent = list[str]()
+    if config.allow_missing or problems is not None:
+        selected, absent = _split_by_file(outline, selected)
+    if problems is not None and not (config.allow_missing and selected):
+        problems += [f"{sentence}." for sentence in absent]
+    elif selected:
+        missing += absent
+    return selected, absent
 
 
 def _why_not_selected(outline: _Outline, config: StageConfig) -> str:
@@ -158,26 +172,6 @@ def _nothing_left(missing: Sequence[str], problems: Sequence[str] | None) -> Sta
     if problems is not None:  # of a stage that is only looked at; they say what to do
         return StageError(f"no smoke can be read: {reasons}.")
     return StageError(f"nothing is left to do: {reasons}. Choose other frames or Volumes.")
-
-
-def _check_units(stage: Usd.Stage) -> None:
-    """Times and lengths are divided by them."""
-    found = {
-        "timeCodesPerSecond": stage.GetTimeCodesPerSecond(),
-        "framesPerSecond": stage.GetFramesPerSecond(),
-        "metersPerUnit": UsdGeom.GetStageMetersPerUnit(stage),
-    }
-    for name, value in found.items():
-        if not 0 < value < math.inf:
-            raise StageError(
-                f"{name} of {stage.GetRootLayer().identifier} is {value:g}. Author a positive "
-                "number in the layer's metadata."
-            )
-    if (up := UsdGeom.GetStageUpAxis(stage)) not in (UsdGeom.Tokens.y, UsdGeom.Tokens.z):
-        raise StageError(
-            f'upAxis of {stage.GetRootLayer().identifier} is "{up}". Author Y or Z in the '
-            "layer's metadata."
-        )
 
 
 def _outline_volumes(
