@@ -89,6 +89,14 @@ def test_nobody_reading_stdout_is_no_error(shot: Shot) -> None:
     assert (done.returncode, done.stderr) == (141, "")
 
 
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_a_process_without_stdout_or_stderr_works(shot: Shot, stream: str) -> None:
+    closed = ">&-" if stream == "stdout" else "2>&-"
+    command = f"exec {sys.executable} -m usdsmoke inspect {shot.stage} {closed}"
+    done = subprocess.run(["sh", "-c", command], cwd=PROJECT, capture_output=True, timeout=60)
+    assert (done.returncode, b"Traceback" in done.stderr) == (0, False)
+
+
 def test_verbose_shows_where_an_error_comes_from(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -385,3 +385,16 @@ def test_a_refusal_names_the_variant_that_was_switched(long_shot: Shot) -> None:
     select("a")
     with pytest.raises(OutputExists, match=r"the variant </smoke>\{take\}"):
         run(shot)
+
+
+@pytest.mark.usefixtures("core")
+def test_repeated_frames_of_a_result_keep_a_longer_run_that_is_not_finished(
+    long_shot: Shot,
+) -> None:
+    run(long_shot, *WINDOWS, "stage.frames=1-5")
+    settings = [*WINDOWS, "stage.frames=1-9"]
+    run_window(Request(long_shot.stage, long_shot.style, long_shot.output, settings), 1)
+    before = file_hashes(long_shot.output)
+    with pytest.raises(OutputExists, match="unfinished"):
+        run(long_shot, *WINDOWS, "stage.frames=4")
+    assert file_hashes(long_shot.output) == before

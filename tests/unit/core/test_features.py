@@ -299,3 +299,12 @@ def test_build_network_learns_from_each_style_anew():
     assert not torch.equal(first(STYLE, wanted)["learned1"], second(STYLE, wanted)["learned1"])
     assert layer_names(FeaturesConfig()) == EmbeddedFeatures.names
     assert len(layer_names(FeaturesConfig(network="vgg19"))) == 16
+
+
+@pytest.mark.parametrize("side", [16, 18, 22, 30])
+def test_the_deepest_layer_is_learned_of_the_few_patches_of_a_small_style(side):
+    """Thousands of dimensions, a dozen points: 32 bits do not tell their axes apart."""
+    for seed in range(4):
+        style = torch.rand(side, side, 3, generator=torch.Generator().manual_seed(seed))
+        maps = LearnedFeatures(style, seed)(style, frozenset({"learned4"}))["learned4"]
+        assert bool(maps.isfinite().all())

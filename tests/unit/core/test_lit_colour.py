@@ -225,3 +225,12 @@ def test_smoke_that_the_camera_does_not_see_casts_its_shadow(hidden: bool) -> No
     light = opened.lighting().on(opened.smoke.positions).scattered(np.array([-1.0, 0.0, 0.0]))
     middle = float(light[((opened.smoke.ijk - 5).abs() <= 1).all(1)].mean())
     assert (middle < 0.02) is hidden
+
+
+def test_smoke_around_the_eye_itself_is_lit() -> None:
+    density = replace(frame_of(puff(12)).density, ijk_min=(900, 900, 900))
+    scattering = Scattering((SUN,), 0.5, anisotropy=0.5)
+    for eye in (906.0, 906.001):  # a voxel's centre, and beside it
+        view = replace(orbit_view(0.0, 0.0, "Y", np.full(3, eye), 16, 16, 1.0), focal=16.0)
+        found = lit_emission(density, (None, None), np.eye(4), 1.0, scattering, view)
+        assert np.isfinite(found.values).all() and found.values.max() > 0

@@ -6,6 +6,7 @@ import torch
 
 from tests.fixtures.smoke_fixtures import affine, frame_of, puff, smoke_of
 from tests.fixtures.stylize_fixtures import scene_of
+from usdsmoke.base.errors import ConfigError
 from usdsmoke.config.look_sections import OpticsConfig, ViewsConfig
 from usdsmoke.config.resolve import resolve_config
 from usdsmoke.config.settings import Config
@@ -250,3 +251,13 @@ def test_the_largest_frame_is_counted_in_refined_voxels(shape, refine, most):
     nothing = measure_scene([frame_of(np.zeros(shape))], ViewsConfig(), OpticsConfig(), "Y", refine)
     assert nothing.refine == refine
     assert scene_of([frame_of(np.ones((8, 8, 8)))], Config()).coarser(2).most_voxels == 4**3
+
+
+@pytest.mark.parametrize(
+    "optics",
+    [OpticsConfig(gamma=1e30), OpticsConfig(gamma_shape=1e30), OpticsConfig(knee=1e-300)],
+)
+def test_extinctions_beyond_32_bits_are_refused_with_their_number(optics: OpticsConfig) -> None:
+    tiny = frame_of(puff(8), index_to_world=np.diag([1e-12, 1e-12, 1e-12, 1.0]))
+    with pytest.raises(ConfigError, match=r"e\+\d+ per stage unit"):
+        measure_scene([tiny], ViewsConfig(), optics.replace(thicken=10.0), "Y")

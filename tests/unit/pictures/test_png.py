@@ -357,3 +357,15 @@ def test_a_pipe_is_refused_before_it_is_waited_for(tmp_path: Path) -> None:
     os.mkfifo(pipe)
     with pytest.raises(ImageError, match="a device"):
         read_style_image(pipe)
+
+
+def test_an_image_of_many_pixels_is_reduced_and_says_so(tmp_path: Path) -> None:
+    rows = np.arange(4200, dtype=np.uint8)[:, None]
+    Image.fromarray(np.broadcast_to(rows, (4200, 4200)).copy()).save(tmp_path / "large.png")
+    style = read_style_image(tmp_path / "large.png")
+    assert style.pixels.shape == (2100, 2100, 3)
+    pairs = np.arange(4200).reshape(-1, 2).astype(np.uint8).mean(axis=1)
+    assert np.allclose(style.pixels[:, 7, 0] * 255, pairs, atol=1e-3)
+    assert "4200" in style.note and "2100" in style.note
+    Image.fromarray(LEVELS).save(tmp_path / "small.png")
+    assert read_style_image(tmp_path / "small.png").note == ""
