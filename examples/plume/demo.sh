@@ -12,15 +12,15 @@ bin=.venv/bin
 "$bin/python" "$here/../styles/paint.py" "$out/styles" --only strokes waves petals "$style"
 # a shot, and one frame of it with the settings for delivery
 "$bin/usdsmoke" stylize "$out/source/plume.usda" --style "$out/styles/$style.png" \
-    --config "$here/config.yaml" --frames 3-8 -o "$out/look" --force
+    --config "$here/config.yaml" -o "$out/look" --force
 "$bin/usdsmoke" stylize "$out/source/plume.usda" --style "$out/styles/$style.png" \
-    --config "$here/config.yaml" --preset final --frames 8 -o "$out/final" --force
+    --config "$here/config.yaml" --preset final --frames 8 --seed 0 -o "$out/final" --force
 
 cat <<END
 
 The stylized plume is ready.
 
-  look at it     $out/look/contact_sheet.png   (six frames with the default preset)
+  look at it     $out/look/contact_sheet.png   (eight frames with the default preset)
                  $out/final/contact_sheet.png  (one frame with the preset final)
   open it        $out/look/plume_look.usda  (usdview, Blender, Houdini; camera /cameras/front)
   the source     $out/source/plume.usda
