@@ -259,5 +259,5 @@ def test_the_largest_frame_is_counted_in_refined_voxels(shape, refine, most):
 )
 def test_extinctions_beyond_32_bits_are_refused_with_their_number(optics: OpticsConfig) -> None:
     tiny = frame_of(puff(8), index_to_world=np.diag([1e-12, 1e-12, 1e-12, 1.0]))
-    with pytest.raises(ConfigError, match=r"e\+\d+ per stage unit"):
+    with pytest.raises(ConfigError, match=r"e\+\d+"):
         measure_scene([tiny], ViewsConfig(), optics.replace(thicken=10.0), "Y")
