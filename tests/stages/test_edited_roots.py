@@ -1,5 +1,6 @@
 """Root layers that somebody has added to, and stages that are not seen as their files are."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -75,9 +76,13 @@ def nested_search_path(folder: Path) -> Shot:
     return Shot(folder, stage, make_style(folder / "in/style.png"), folder / "out")
 
 
+@pytest.mark.parametrize("folder", [".", "in"])
 @pytest.mark.parametrize("mode", ["sublayer", "reference"])
-def test_search_paths_that_a_result_would_not_find_are_refused(tmp_path: Path, mode: str) -> None:
+def test_search_paths_that_a_result_would_not_find_are_refused(
+    tmp_path: Path, mode: str, folder: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     shot = nested_search_path(tmp_path)
+    monkeypatch.chdir(tmp_path / folder)  # USD looks there too
     with pytest.raises(LayerError, match=r"lib/smoke\.usda"):
         plan(shot.stage, shot.style, shot.output, [f"layer.mode={mode}"])
     assert plan(shot.stage, shot.style, shot.output, ["layer.mode=layer"]).n_frames == 2
@@ -85,7 +90,11 @@ def test_search_paths_that_a_result_would_not_find_are_refused(tmp_path: Path, m
 
 
 def test_stages_that_are_seen_otherwise_than_their_files_are_refused(tmp_path: Path) -> None:
-    shot = make_shot(tmp_path)
+    made = make_shot(tmp_path)
+    payload = (
+        '#usda 1.0\n(defaultPrim = "World")\ndef "World" (payload = @./shot.usda@</World>) {\n}\n'
+    )
+    shot = replace(made, stage=write_text(made.stage.parent / "loads.usda", payload))
     path = str(shot.stage)
     stages = {
         "population mask": Usd.Stage.OpenMasked(path, Usd.StagePopulationMask(["/World/smoke"])),
@@ -95,7 +104,10 @@ def test_stages_that_are_seen_otherwise_than_their_files_are_refused(tmp_path: P
     for reason, stage in stages.items():
         with pytest.raises(StageError, match=reason):
             plan(stage, shot.style, shot.output)
-    assert plan(Usd.Stage.Open(path), shot.style, shot.output).n_frames == 3
+    loaded = Usd.Stage.Open(path, Usd.Stage.LoadNone)
+    loaded.Load()
+    for stage in (Usd.Stage.Open(path), loaded):
+        assert plan(stage, shot.style, shot.output).n_frames == 3
 
 
 @pytest.mark.parametrize(
@@ -127,6 +139,33 @@ def test_other_files_and_more_time_codes_of_the_source_are_told(
     assert "b/cache" in found(result.root_stage)[0]
     write("a", 1, 2, 3)
     assert "3" in found(result.root_stage)[0]
+
+
+@pytest.mark.parametrize("mode", ["sublayer", "reference"])
+def test_looks_under_another_path_and_without_their_volume_are_validated(
+    tmp_path: Path, mode: str
+) -> None:
+    shot = make_shot(tmp_path, n_frames=2)
+    result = run(shot, f"layer.mode={mode}")
+    assert result.root_stage is not None
+    reference = f'def "fx" (references = @{result.root_stage}@</World>) {{\n}}\n'
+    above = write_text(tmp_path / "above.usda", f"#usda 1.0\n{reference}")
+
+    def rules(stage: Path) -> set[tuple[str, str]]:
+        return {(item.rule, item.prim_path) for item in validate_look(str(stage))[0]}
+
+    assert "LookStale" not in {rule for rule, _ in rules(above)}
+    write_sequence(shot.stage.parent, (3,))
+    text = shot.stage.read_text()
+    longer = text.replace(
+        "2: @./cache/smoke.0002.vdb@", "2: @./cache/smoke.0002.vdb@, 3: @./cache/smoke.0003.vdb@"
+    )
+    assert longer != text
+    shot.stage.write_text(longer)
+    assert ("LookStale", "/fx/smoke") in rules(above)
+    if mode == "sublayer":
+        shot.stage.write_text(text.replace('def Volume "smoke"', 'def Volume "other"'))
+        assert ("LookWithoutVolume", "/World/smoke") in rules(result.root_stage)
 
 
 def test_units_of_a_look_are_those_at_its_first_time_code(tmp_path: Path) -> None:

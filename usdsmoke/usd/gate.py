@@ -156,7 +156,8 @@ def _switched(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:
             below = source
             if record.settings.get("stage", {}).get("restylize"):  # made from the looks below it
                 below = _below(composed, layer)
-            volumes = _volumes_of(record, below)
+            paths = dict.fromkeys(frame.prim for frame in record.frames)
+            volumes = _volumes_of(record, paths, below)
         except UsdSmokeError:
             continue  # other rules report it
         at = partial(_time_on, composed, layer)
@@ -176,14 +177,14 @@ def _below(composed: Usd.Stage, look: Sdf.Layer) -> Usd.Stage:
     return stage
 
 
-def _volumes_of(record: RunRecord, stage: Usd.Stage) -> StageSource:
-    """The Volumes of a look that a stage has, found as its run has found them.
+def _volumes_of(record: RunRecord, paths: Iterable[str], stage: Usd.Stage) -> StageSource:
+    """Those of some Volumes that a stage has, found as a look's run has found them.
 
     Raises:
         UsdSmokeError: there is none, or one cannot be used.
     """
-    prims = dict.fromkeys(frame.prim for frame in record.frames)
-    here = [path for path in prims if stage.GetPrimAtPath(path).IsA(UsdVol.Volume)]
+    prims = {path: stage.GetPrimAtPath(path) for path in paths}
+    here = [path for path, prim in prims.items() if prim and prim.IsA(UsdVol.Volume)]
     if not here:
         raise VolumeNotFound("the stage has no Volume of the look. Select the variant that has it.")
     density = record.settings.get("stage", {}).get("density", "density")
@@ -193,30 +194,34 @@ def _volumes_of(record: RunRecord, stage: Usd.Stage) -> StageSource:
 
 def _added(source: Usd.Stage, composed: Usd.Stage) -> list[Finding]:
     """Volumes with a look whose source has more timeCodes than it had when the look was made."""
-    found = []
+    found = dict[str, Finding]()
+    looks = [
+        str(prim.GetPath())
+        for prim in composed.Traverse()
+        if LOOK_API in prim.GetPrimTypeInfo().GetAppliedAPISchemas()
+    ]
     for layer in composed.GetUsedLayers():
-        if not record_values(layer):
+        if not looks or not record_values(layer):
             continue
         try:
             record = read_record(layer)
             then, now = (
                 {
                     volume.prim_path: set(volume.time_codes) if volume.animated else set()
-                    for volume in _volumes_of(record, stage).volumes
+                    for volume in _volumes_of(record, looks, stage).volumes
                 }
                 for stage in (composed, source)
             )
         except UsdSmokeError:
             continue  # other rules report it
         for path, codes in now.items():
-            schemas = composed.GetPrimAtPath(path).GetPrimTypeInfo().GetAppliedAPISchemas()
-            if LOOK_API in schemas and path in then and (more := codes - then[path]):
+            if path in then and (more := codes - then[path]):
                 text = (
                     f"the source has {name_time_codes(sorted(more))} since the look was made, and "
                     "the look hides them. Make it longer, with more --frames."
                 )
-                found.append(Finding(Severity.ERROR, "LookStale", path, None, text))
-    return list(dict.fromkeys(found))
+                found[path] = Finding(Severity.ERROR, "LookStale", path, None, text)
+    return list(found.values())
 
 
 def _time_on(stage: Usd.Stage, layer: Sdf.Layer, path: str, time_code: float) -> float:

@@ -134,7 +134,7 @@ class _Worker:
 
         Raises:
             ChildFailure: it ended, or did not answer within ``seconds`` by the clock.
-        OSError: it could not write its answer.
+            OSError: it could not write its answer.
         """
         self.messages.seek(0)
         self.messages.truncate()
@@ -257,7 +257,9 @@ def _interrupts_held() -> Iterator[None]:
 
 def _environment() -> dict[str, str]:
     """This process's own, with its search path, one thread each, and nothing loaded late."""
-    search = [_PACKAGE_PARENT, *(entry for entry in sys.path if os.path.isabs(entry))]
+    # no hooks of editable installations, which are no folders
+    folders = [entry for entry in sys.path if os.path.isabs(entry) or os.path.isdir(entry)]
+    search = [_PACKAGE_PARENT, *(os.path.abspath(entry) for entry in folders if entry)]
     return {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(search),

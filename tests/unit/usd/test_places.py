@@ -67,20 +67,24 @@ def test_an_inactive_field_is_not_used(tmp_path):
         assert found[f"/World/smoke.field:{name}"].severity == severity
 
 
-def test_what_is_invisible_at_all_selected_time_codes_is_left_out_unless_it_is_named(tmp_path):
+def test_what_is_invisible_at_all_of_its_time_codes_is_left_out_unless_it_is_named(tmp_path):
+    """Whatever is selected: a look that grows keeps its Volumes."""
     write_sequence(tmp_path, (1, 2, 3))
     late = sampled("token visibility", {1: '"invisible"', 3: '"inherited"'})
+    ended = sampled("token visibility", {0: '"inherited"', 1: '"invisible"'})
     other = density_prim(sequence((1, 2, 3)))
     body = volume_prim(other) + volume_prim(late + other, "late")
-    stage = open_stage(write_text(tmp_path / "shot.usda", world(body)))
-    taken = {}
+    stage = open_stage(
+        write_text(tmp_path / "shot.usda", world(body + volume_prim(ended + other, "ended")))
+    )
     for frames in ("1-2", "1-3"):
         found = find_volumes(stage, StageConfig(frames=frames))
-        taken[frames] = [volume.prim_path for volume in found.volumes]
-        assert ("/World/late" in found.omitted) == (frames == "1-2")
-    assert taken == {"1-2": ["/World/smoke"], "1-3": ["/World/smoke", "/World/late"]}
-    named = find_volumes(stage, StageConfig(frames="1-2", prims=["/World/late"]))
-    assert [volume.prim_path for volume in named.volumes] == ["/World/late"]
+        seen = {volume.prim_path: volume for volume in found.volumes}
+        assert list(seen) == ["/World/smoke", "/World/late"]
+        assert list(found.omitted) == ["/World/ended"]
+        assert any("invisible" in note for note in seen["/World/late"].notes)
+    named = find_volumes(stage, StageConfig(frames="1-2", prims=["/World/ended"]))
+    assert [volume.prim_path for volume in named.volumes] == ["/World/ended"]
 
 
 @pytest.mark.parametrize(("names", "beside"), [(("soot",), []), (("density", "heat"), ["heat"])])

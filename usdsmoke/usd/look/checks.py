@@ -52,7 +52,7 @@ def _check_root(file_path: Path, look_layer: Path) -> None:
     found = "is not a layer"
     with suppress(Tf.ErrorException), captured_diagnostics():
         layer = Sdf.Layer.OpenAsAnonymous(str(file_path))
-        if not layer.rootPrims and _has_two_sublayers(layer, look_layer):
+        if layer is not None and not layer.rootPrims and _has_two_sublayers(layer, look_layer):
             return
         found = "has prims or sublayers that usdsmoke did not write"
     raise LayerError(
@@ -80,11 +80,12 @@ def check_search_paths(stage: Usd.Stage, root_file: Path) -> None:
         LayerError: a layer of the source is found by a search path that leads elsewhere from there.
     """
     there = Ar.GetResolver().CreateDefaultContextForAsset(str(root_file))
-    own, moved = (_found_in(context, stage) for context in (stage.GetPathResolverContext(), there))
+    folder = Path(stage.GetRootLayer().realPath).parent
+    own = _found_from(folder, stage.GetPathResolverContext(), stage)
+    moved = _found_from(root_file.parent, there, stage)
     lost = sorted(key[1] for key, found in own.items() if found and moved[key] != found)
     if not lost:
         return
-    folder = Path(stage.GetRootLayer().realPath).parent
     raise LayerError(
         f"from {root_file.parent} the search path {lost[0]} of the source does not lead to "
         f"the same layer ({len(lost)} such). Set PXR_AR_DEFAULT_SEARCH_PATH={folder} wherever the "
@@ -93,12 +94,28 @@ def check_search_paths(stage: Usd.Stage, root_file: Path) -> None:
     )
 
 
-def _found_in(context: Ar.ResolverContext, stage: Usd.Stage) -> dict[tuple[str, str], str]:
-    """Where sublayers, references and payloads lead, by layer and authored path; "" for nowhere."""
+def _found_from(
+    folder: Path, context: Ar.ResolverContext, stage: Usd.Stage
+) -> dict[tuple[str, str], str]:
+    """Where sublayers, references and payloads lead, by layer and authored path; "" for nowhere.
+
+    What is found from this process's working directory alone does not count: the next process may
+    have another one.
+
+    Args:
+        folder: of the root layer.
+        context: of the stage that it opens.
+    """
     resolver, found = Ar.GetResolver(), dict[tuple[str, str], str]()
+    searched = os.environ.get("PXR_AR_DEFAULT_SEARCH_PATH", "").split(os.pathsep)
+    bases = [folder, *(Path(base) for base in searched if base)]
     with Ar.ResolverContextBinder(context):
         for layer in stage.GetUsedLayers():
             for name in layer.GetCompositionAssetDependencies():
-                place = resolver.Resolve(resolver.CreateIdentifier(name, layer.resolvedPath))
-                found[layer.identifier, name] = os.path.realpath(str(place)) if place else ""
+                identifier = resolver.CreateIdentifier(name, layer.resolvedPath)
+                place = str(resolver.Resolve(identifier))
+                if place and not os.path.isabs(identifier) and os.path.exists(identifier):
+                    places = [str(base / identifier) for base in bases]
+                    place = next(filter(os.path.exists, places), "")
+                found[layer.identifier, name] = os.path.realpath(place) if place else ""
     return found

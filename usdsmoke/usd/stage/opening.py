@@ -55,8 +55,8 @@ def stage_file(stage: StageOrFile) -> Path:
         )
     if part := _seen_otherwise(stage):
         raise StageError(
-            f"the stage {root.identifier} {part}, and its file is opened without. Open the stage "
-            "without it, or give its file."
+            f"the stage {root.identifier} {part}, and its file, which the run reads, shows "
+            "something else. Open the stage as it is in the file, or give the file."
         )
     return Path(root.realPath)
 
@@ -66,7 +66,7 @@ def _seen_otherwise(stage: Usd.Stage) -> str:
     everything = Usd.StagePopulationMask.All()
     if stage.GetPopulationMask() != everything:
         return "has a population mask"
-    if stage.GetLoadRules() != Usd.StageLoadRules.LoadAll():
+    if not set(stage.FindLoadable()) <= set(stage.GetLoadSet()):
         return "has payloads that are not loaded"
     usual = Ar.GetResolver().CreateDefaultContextForAsset(stage.GetRootLayer().realPath)
     if stage.GetPathResolverContext() != usual:

@@ -7,6 +7,7 @@ from pxr import Usd, UsdGeom
 
 from usdsmoke.base.time_codes import name_time_codes
 from usdsmoke.base.volume import FieldSource
+from usdsmoke.usd.values import ancestors
 
 _CLOSE = 1e-6  # of a matrix, relative to its largest element: what single precision can hold
 
@@ -39,9 +40,9 @@ def place_notes(
             )
     codes = {field.time_code for field in fields}
     hidden = _hidden_at(volume, codes)
-    if 0 < len(hidden) < len(codes):  # else somebody named it
+    if hidden and (len(hidden) < len(codes) or _blinks(volume)):  # else somebody named it
         notes.append(
-            f"<{volume.GetPath()}> is invisible at {name_time_codes(hidden)} and stylized there "
+            f"<{volume.GetPath()}> is invisible at {name_time_codes(hidden)} and taken there "
             "like elsewhere. Leave these timeCodes out with --frames to save their time"
         )
     return tuple(notes)
@@ -55,6 +56,12 @@ def _hidden_at(volume: Usd.Prim, time_codes: Collection[float]) -> list[float]:
         for code in sorted(time_codes)
         if shown.ComputeVisibility(code) == UsdGeom.Tokens.invisible
     ]
+
+
+def _blinks(volume: Usd.Prim) -> bool:
+    """Whether a Volume's visibility, or that of a prim above it, changes over time."""
+    items = map(UsdGeom.Imageable, ancestors(volume))
+    return any(item and item.GetVisibilityAttr().ValueMightBeTimeVarying() for item in items)
 
 
 def is_never_seen(volume: Usd.Prim, time_codes: Collection[float]) -> bool:

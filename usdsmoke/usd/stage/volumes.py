@@ -56,7 +56,7 @@ from usdsmoke.usd.volume_requests import read_request, requested_mask
 _OF_ONE_VOLUME = (FieldNotFound, AssetNotResolved, StageError)
 # An error without its traceback, which would keep the stage's layers in memory for long.
 _Refusal: TypeAlias = tuple[type[StageError], str]
-_HIDDEN = "it is invisible at all selected timeCodes. Name the Volume with --prim to use it."
+_HIDDEN = "it is invisible at all of its timeCodes. Name the Volume with --prim to use it."
 _STATIC_TIME_CODE = 1.0  # of what is not animated, on a stage without a startTimeCode
 
 
@@ -119,7 +119,7 @@ def find_volumes(
     volumes = []
     for outline, selected in zip(outlines, selections, strict=True):
         is_open = outline.animated and outline.path not in config.prims
-        if is_open and is_never_seen(outline.prim, selected):
+        if is_open and is_never_seen(outline.prim, outline.existing):
             omitted[outline.path] = _HIDDEN
             continue
         selected, absent = _with_files(outline, selected, config, problems, missing)
@@ -134,7 +134,8 @@ def find_volumes(
             omitted[outline.path] = absent[0] if absent else _why_not_selected(outline, config)
     _tell(errors, problems, (volume.prim_path for volume in volumes))
     if not volumes:
-        raise _nothing_left([*missing, *omitted.values()], problems)
+        reasons = [f"<{path}>: {reason}" for path, reason in omitted.items()]
+        raise _nothing_left([*missing, *reasons], problems)
     return _describe_stage(stage, tuple(volumes), omitted, tuple(missing))
 
 
