@@ -265,7 +265,7 @@ def _resolve(name: str, beside: Path) -> Path | None:
     resolver = Ar.GetResolver()
     identifier = resolver.CreateIdentifier(name, Ar.ResolvedPath(str(beside)))
     resolved = str(resolver.Resolve(identifier))
-    return Path(resolved) if resolved and os.path.isfile(resolved) else None
+    return Path(resolved) if os.path.isfile(resolved) else None
 
 
 def _open(path: Path) -> Sdf.Layer | None:

@@ -261,12 +261,10 @@ def _encoded(where: Path, linear: np.ndarray) -> np.ndarray:
     return encode_srgb(np.clip(linear, 0.0, 1.0)).astype(np.float32)
 
 
-def _check_finite(what: str, values: np.ndarray) -> None:
+def _check_finite(what: str, values: np.ndarray, remedy: str = "Repair it in a compositor") -> None:
     count = int((~np.isfinite(values)).sum())
     if count:
-        raise ImageError(
-            f"{what} has {count_text(count, 'NaN or infinite number')}. Repair it in a compositor."
-        )
+        raise ImageError(f"{what} has {count_text(count, 'NaN or infinite number')}. {remedy}.")
 
 
 def _check_pixels(
@@ -278,11 +276,8 @@ def _check_pixels(
             f"{list(pixels.shape)}, not [H W C] with C one of {', '.join(map(str, components))}. "
             "This is a bug in usdsmoke. Please report it."
         )
-    if count := int((~np.isfinite(pixels)).sum()):
-        raise ImageError(
-            f"cannot write {os.fspath(file_path)}: it has "
-            f"{count_text(count, 'NaN or infinite number')}. Check the values of the grids."
-        )
+    what = f"cannot write {os.fspath(file_path)}: it"
+    _check_finite(what, pixels, "Check the values of the grids")
 
 
 def _check_same(file_path: str | os.PathLike[str], written: np.ndarray, found: np.ndarray) -> None:

@@ -119,11 +119,8 @@ def _joined_again(volume: VolumePlan) -> list[str]:
     """That refined voxels are no finer in pictures, which join those of a pixel."""
     parts, pixels = volume.config.grids.parts, _picture_side(volume)
     longest = max(map(max, computed_boxes(volume.sizes)), default=0)
-    if (
-        parts == 1
-        or longest == 0
-        or round(longest * parts / pixels) < parts * max(round(longest / pixels), 1)
-    ):
+    joined, joined_before = round(longest * parts / pixels), max(round(longest / pixels), 1)
+    if parts == 1 or joined < parts * joined_before:
         return []
     finer = f"Set views.image_size={longest * parts}, or leave grids.refine at 1"
     is_far = pixels < volume.config.views.image_size  # the camera's picture has no more

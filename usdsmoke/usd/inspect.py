@@ -2,12 +2,13 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from os import PathLike
 from typing import Any
 
 from pxr import Usd, UsdGeom
 
-from usdsmoke.base.errors import StageError, UsdSmokeError
+from usdsmoke.base.errors import GridNotFound, StageError, UsdSmokeError
 from usdsmoke.base.volume import FieldSource, FrameSource, StageSource, VolumeSource
 from usdsmoke.config.look_sections import OpticsConfig
 from usdsmoke.config.resolve import Settings, Styles
@@ -110,8 +111,10 @@ def grids_beside(volume: VolumeSource, header: FileHeader) -> list[str]:
     """
     fields = volume.frames[0].fields.values()
     used = {"", *volume.other_fields, *(field.grid_name for field in fields)}
-    if any(not field.grid_name and field.file_path == header.file_path for field in fields):
-        used |= {grid.name for grid in header.grids[: len(header.grids) == 1]}  # the only one
+    for field in fields:
+        if not field.grid_name and field.file_path == header.file_path:
+            with suppress(GridNotFound):
+                used.add(find_grid(header, GridRequest("", field.grid_index)).name)
     used |= {grid.name for grid in find_velocity(header)}
     return list(dict.fromkeys(grid.name for grid in header.grids if grid.name not in used))
 

@@ -145,7 +145,7 @@ class _Worker:
         if not waiting.poll(1000 * seconds):
             raise ChildFailure(f"it took longer than {seconds:.3g} s and was stopped")
         word = self.answers.read(16)
-        if word == b"full\n":  # ``worker.FULL``
+        if word == b"full\n":
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if word:
             return word == b"next\n"

@@ -31,7 +31,6 @@ from usdsmoke.vdb.boxes import LEAST_VOXEL, check_dense_size
 # What the bindings raise on files and values they cannot take, over all versions.
 _BINDING_ERRORS = (ArithmeticError, KeyError, OSError, RuntimeError, TypeError, ValueError)
 LEAF = 8  # voxels along the side of a leaf node
-FULL = b"full\n"  # said in place of an answer that the folder for temporary files has no room for
 _GROWTH = 2**28  # bytes of address space beyond the first answer's that end a worker
 
 
@@ -46,7 +45,7 @@ def main() -> int:
         try:
             answered = answer_request(Path(folder), grown)
         except OSError:  # not even the answer could be written
-            os.write(answers, FULL)
+            os.write(answers, b"full\n")
             return 0
         give_back_memory()
         first = first or _address_space()

@@ -361,13 +361,12 @@ def test_ctrl_c_ends_the_request_and_the_next_one_is_right(
 
 
 def test_a_folder_for_temporary_files_that_is_full_is_named_and_no_file_is_called_damaged(
-    tmp_path: Path, good_file: bytes, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, good_file: bytes
 ) -> None:
     """Neither the grid nor the answer can be written: files are limited to a few bytes."""
     (tmp_path / "a.vdb").write_bytes(good_file)
     read_grids(tmp_path / "a.vdb", DENSITY, TIGHT)  # a worker is there
-    pid = worker_id()
-    before = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+    before = resource.prlimit(worker_id(), resource.RLIMIT_FSIZE)
     for limit in (600, 8):
         resource.prlimit(worker_id(), resource.RLIMIT_FSIZE, (limit, before[1]))
         with pytest.raises(WriteFailed, match="TMPDIR"):

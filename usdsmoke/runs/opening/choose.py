@@ -91,7 +91,7 @@ def frames_again(job: Job) -> tuple[Job, Run, frozenset[int]] | None:
                     if changes.only_files and whole.plan.n_frames == job.plan.n_frames:
                         return None  # see ``find_growth``
                     raise other_result(run.output, changes, is_part=True)
-                refuse_beside_unfinished(job, run)
+                refuse_beside_unfinished(job)
                 return with_settled(whole, run), run, numbers
     return None
 

@@ -74,18 +74,15 @@ def find_results(job: Job) -> tuple[Collection[str], dict[str, Run], set[str]]:
     return published, runs, results
 
 
-def refuse_beside_unfinished(job: Job, run: Run) -> None:
+def refuse_beside_unfinished(job: Job) -> None:
     """Refuse to repeat frames of a result where an unfinished run of its look would be removed.
-
-    Args:
-        run: of the result.
 
     Raises:
         OutputExists: there is such a run.
     """
     _, runs, results = find_results(job)
     for run_id, other in runs.items():
-        if run_id not in {*results, run.run_id} and not other.complete:
+        if run_id not in results and not other.complete:
             raise OutputExists(
                 f"{other.folder} holds an unfinished run of this look, which would be removed when "
                 "frames of its result are repeated. Finish it first, or remove this folder."

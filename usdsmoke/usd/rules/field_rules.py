@@ -32,7 +32,7 @@ def check_targets(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
     for name, targets in field_targets(volume).items():
         where = f"{volume.GetPath()}.field:{name}"
         listed = ", ".join(f"<{path}>" for path in targets)
-        prim = target_prim(volume.GetStage(), targets)
+        prim, severity = target_prim(volume.GetStage(), targets), Severity.ERROR
         if not targets:
             message = "the relationship has no target. Set it to one OpenVDBAsset prim."
         elif len(targets) > 1:
@@ -53,10 +53,9 @@ def check_targets(volume: Usd.Prim, _interval: Gf.Interval) -> list[Problem]:
                 f"the relationship leads to {listed}, which is inactive: the field is not shown. "
                 "Activate it, or remove the relationship."
             )
+            severity = Severity.ERROR if name == DENSITY else Severity.WARN
         else:
             continue
-        is_minor = prim is not None and not prim.IsActive() and name != DENSITY
-        severity = Severity.WARN if is_minor else Severity.ERROR
         problems.append(Problem(severity, where, message))
     return problems
 

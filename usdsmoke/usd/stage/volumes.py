@@ -125,9 +125,8 @@ def find_volumes(
         selected, absent = _with_files(outline, selected, config, problems, missing)
         if selected:
             try:
-                volumes.append(
-                    _read_volume(outline, selected, with_requests, with_styles, problems)
-                )
+                found = _read_volume(outline, selected, with_requests, with_styles, problems)
+                volumes.append(found)
             except _OF_ONE_VOLUME as error:
                 errors.append((type(error), str(error)))
         elif problems is None or not absent:
