@@ -11,7 +11,7 @@ from pxr import Sdf
 
 from tests.fixtures.pipeline_fixtures import FakeCore, Shot, make_shot, run
 from tests.fixtures.usd_fixtures import needs_usd, write_vdb
-from usdsmoke.audit import Change, verify
+from usdsmoke.audit import Change, verification, verify
 from usdsmoke.config.run_sections import GridsConfig
 from usdsmoke.pipeline import StylizeResult, assemble
 from usdsmoke.ui.cli.main import main
@@ -19,6 +19,7 @@ from usdsmoke.usd.rules import validate
 from usdsmoke.vdb.binding import find_binding
 from usdsmoke.vdb.read import GridRequest, read_grids
 from usdsmoke.vdb.write import write_frame
+from usdsmoke.vdb.written import State, Written
 
 Finished = tuple[Shot, StylizeResult]
 
@@ -251,6 +252,35 @@ def test_a_result_with_edited_voxels_and_its_old_metadata_is_named(finished: Fin
     openvdb.write(file, grids=grids, metadata=metadata)
     change = only(finished)
     assert (change.kind, change.file) == ("result-edited", file)
+
+
+def test_a_result_with_the_same_grids_in_other_bytes_is_noted(finished: Finished) -> None:
+    openvdb, file = find_binding(), str(finished[1].frames[1])
+    grids, metadata = openvdb.readAll(file)
+    openvdb.write(file, grids=grids, metadata={**metadata, "comment": "written anew"})
+    change = only(finished)
+    assert (change.kind, change.severity, change.file) == ("result-rewritten", "note", file)
+
+
+@pytest.mark.parametrize("is_damaged", [False, True])
+def test_bytes_are_compared_where_grids_are_not(
+    finished: Finished, monkeypatch: pytest.MonkeyPatch, is_damaged: bool
+) -> None:
+    unread = Written(State.UNCHECKED, "no memory")
+    monkeypatch.setattr(verification, "compare_written", lambda *_: unread)
+    first, *others = finished[1].frames
+    if is_damaged:
+        damage(first)
+    kinds = {change.file: change.kind for change in verify(finished[1].look_layer)}
+    assert kinds.pop(str(first)) == ("result-edited" if is_damaged else "unchecked")
+    assert kinds == {str(file): "unchecked" for file in others}
+
+
+def damage(file: Path) -> None:
+    """Turn one bit in the middle of a file."""
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
 
 
 def test_a_look_edited_by_hand_is_named(finished: Finished) -> None:

@@ -145,17 +145,38 @@ def _check_results(item: FoundRecord) -> list[Change]:
         expected = "frames of the result"
         return [Change("result-missing", str(item.file), expected, "none that can be read")]
     files = [item.place(name) for name in item.record.results]
+    known = _recorded_bytes(item)
+    digests = [known.get(file.absolute(), "") for file in files]
     with ThreadPoolExecutor(max_workers=FILES_AT_ONCE) as pool:
-        found = pool.map(_check_result, files, item.record.results.values())
+        found = pool.map(_check_result, files, item.record.results.values(), digests)
     return [change for change in found if change is not None]
 
 
-def _check_result(path: Path, recorded: str) -> Change | None:
+def _recorded_bytes(item: FoundRecord) -> dict[Path, str]:
+    """The SHA-256 of the result's files, by path, where the record of their run is left."""
+    return {
+        (run.folder / name).absolute(): str(frame.get("sha256", ""))
+        for run in find_runs(item.folder)
+        if run.run_id == item.record.run
+        for name, frame in run.frames.items()
+    }
+
+
+def _check_result(path: Path, recorded: str, digest: str) -> Change | None:
+    """Compare the grids of a file, and its bytes if their SHA-256 is known.
+
+    OpenVDB reads some damaged files without an error.
+    """
     written = compare_written(path, recorded)
     file, expected, detail = str(path), f"grids {shown(recorded)}", written.found
-    if written.state == State.UNCHECKED:
-        return Change.note("unchecked", file, expected, detail)
-    if written.state == State.INTACT:
+    if written.state in (State.INTACT, State.UNCHECKED):
+        has_other_bytes = bool(digest) and hash_file(path) != digest
+        if written.state == State.UNCHECKED:
+            if has_other_bytes:
+                return Change("result-edited", file, expected, f"other bytes, and {detail}")
+            return Change.note("unchecked", file, expected, detail)
+        if has_other_bytes:
+            return Change.note("result-rewritten", file, expected, "the same grids in other bytes")
         return None
     kind, found = {
         State.MISSING: ("result-missing", "no file"),
