@@ -218,6 +218,9 @@ class ColourConfig(Section):
     init: Literal["noise", "density"] = setting(
         "noise", "first colours: density times white noise (noise), or plain density (density)",
         request="colourInit")
+    occlusion: float = setting(
+        0.8, "amount of ambient occlusion in the emission: smoke in the grooves between lumps is "
+        "darker, and lumps are brighter on top; 0: none", ge=0, le=1)
     learning_rate: float = setting(0.06, "Adam's step for display-encoded colour in [0, 1]", gt=0)
     iterations: Iterations = setting(
         [40, 40, 40], "iterations per octave, coarse to fine; 0 skips an octave",

@@ -1,5 +1,6 @@
 """One window of frames in, the same frames stylized out: shape step, then colour step."""
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -23,6 +24,7 @@ from usdsmoke.core.sequence.frame_state import PaintedFrame, WindowContext, make
 from usdsmoke.core.sequence.start import Carried, CoarseStart, on_device
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import decode_srgb
+from usdsmoke.core.views.occlusion import find_relief, shaded
 from usdsmoke.core.views.scene import Scene
 
 FORWARD = np.array([0.0, 0.0, -1.0])  # any: smoke that scatters to all sides looks alike from all
@@ -110,6 +112,7 @@ def stylize_window(
 
 def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame:
     """What is written of a finished frame, with its errors in the report."""
+    frame = _occluded(frame)
     # without an effect it is the source, in the source's voxels
     density = frame.density if frame.in_effect else frame.frame.density
     painted = tuple(_empty(density, name) for name in context.config.painted)
@@ -132,6 +135,22 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
     return StylizedFrame(
         frame.time_code, density, painted, report, frame.moved_by, frame.checkpoint
     )  # fmt: skip
+
+
+def _occluded(frame: PaintedFrame) -> PaintedFrame:
+    """The frame with ambient occlusion in its colours; albedos and flat smoke stay as they are."""
+    amount, paint = frame.config.colour.occlusion, frame.paint
+    if amount == 0 or paint is None or not frame.in_effect or frame.smoke.thin_axis is not None:
+        return frame
+    if frame.config.colour.target == "albedo":  # whose light is hidden itself
+        return frame
+    started, (painted, colours) = time.perf_counter(), paint
+    relief = find_relief(frame.smoke, painted.positions, frame.scene)
+    colours, report = shaded(colours, relief, amount), frame.report
+    if (step := report.colour) is not None:
+        seconds = step.seconds + time.perf_counter() - started
+        report = replace(report, colour=replace(step, seconds=seconds))
+    return replace(frame, colours=colours, report=report)
 
 
 def _per_extinction(frame: PaintedFrame, name: str) -> Tensor:

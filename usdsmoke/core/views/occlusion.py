@@ -1,0 +1,78 @@
+"""Ambient occlusion: smoke in the grooves between lumps is darker than smoke on top of them.
+
+Smoke that shines in its own colours shows no form, and grooves show marks from the side, as lines a
+voxel wide. [Hernell2010] darkens each point by what is around it. Here, a voxel is darkened or
+brightened by the share of an even sky that it sees, over that of the smoke around it: whole sides
+and undersides keep their colours.
+"""
+
+import math
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
+from usdsmoke.core.smoke.memory import run_on
+from usdsmoke.core.smoke.spread import Surroundings
+from usdsmoke.core.views.scene import Scene
+from usdsmoke.core.views.shadows import trace_shadows
+
+MOST_SIDE = 128  # voxels along the longer side of the pictures; smaller ones are joined
+SOFT = 0.12  # of the extinction: light comes as deep as pictures see, and lumps are hidden softly
+AROUND = 27  # means over three voxels along each axis, a Gaussian of 4.2 voxels
+
+
+def shaded(colours: Tensor, relief: Tensor, amount: float) -> Tensor:
+    """Colours [N 3] as bright as their relief tells, but none brighter than white for it.
+
+    Args:
+        colours: display-encoded [N 3], at least 0.
+        relief: [N], see ``find_relief``.
+        amount: share of the effect, in [0, 1].
+    """
+    factor = 1 - amount + amount * relief[:, None]
+    return torch.minimum(colours * factor, colours.clamp_min(1.0))
+
+
+def find_relief(smoke: ActiveSmoke, positions: Tensor, scene: Scene) -> Tensor:
+    """How much of the sky points see, over what the smoke around them sees, [P] >= 0.
+
+    About 1 on even smoke, up to 1.4 on top of lumps, less in grooves, and 0 deep inside.
+
+    Args:
+        smoke: all that hides the sky, one voxel or more.
+        positions: [P 3] float64, stage space, in the smoke.
+        scene: its extinction, its size and its up axis.
+
+    Gradients: none; density is fixed where smoke is painted.
+    """
+    longest = scene.image_size * scene.pixel_size
+    n_halvings = math.ceil(math.log2(max(longest / smoke.voxel_size / MOST_SIDE, 1.0)))
+    for _ in range(n_halvings):
+        smoke = coarsen(smoke)
+    seen = _seen_sky(smoke, scene)
+    # what hardly any light reaches does not count: no picture shows it
+    around = Surroundings(smoke, seen.square()).mean(seen[:, None], 1.0, AROUND)
+    relief = seen[:, None] / around.clamp_min(torch.finfo(seen.dtype).tiny)
+    return sample_colours(smoke, relief, positions)[0][:, 0]
+
+
+def _seen_sky(smoke: ActiveSmoke, scene: Scene) -> Tensor:
+    """The share of the sky above that voxels see through the smoke, [N] in [0, 1]."""
+
+    def seen(towards: np.ndarray) -> Tensor:
+        return trace_shadows(smoke, SOFT * scene.gamma_w, towards).at(smoke.positions)
+
+    directions = _sky_above(scene.up_axis)
+    found = run_on(smoke.density.device, [partial(seen, towards) for towards in directions])
+    return torch.stack(found).mean(0)
+
+
+def _sky_above(up_axis: str) -> np.ndarray:
+    """Unit vectors to the sky, [6 3]: the upper corners of an icosahedron, of equal weight."""
+    angle = np.arange(5) * (2 * np.pi / 5)
+    ring = np.stack([2 * np.cos(angle), np.ones(5), 2 * np.sin(angle)], axis=1) / 5**0.5
+    found: np.ndarray = np.concatenate([[[0.0, 1.0, 0.0]], ring])
+    return found if up_axis == "Y" else found[:, [0, 2, 1]]
