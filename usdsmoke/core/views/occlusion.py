@@ -16,12 +16,13 @@ from torch import Tensor
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, sample_colours
 from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.smoke.spread import Surroundings
+from usdsmoke.core.views.optics import opacity
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.shadows import trace_shadows
 
-MOST_SIDE = 128  # voxels along the longer side of the pictures; smaller ones are joined
-SOFT = 0.12  # of the extinction: light comes as deep as pictures see, and lumps are hidden softly
-AROUND = 27  # means over three voxels along each axis, a Gaussian of 4.2 voxels
+MOST_SIDE = 64  # voxels along the longer side of the pictures; smaller ones are joined
+SOFT = 0.12  # of the extinction: shade lies on lumps of smoke, not on its single voxels
+AROUND = 7  # means over three voxels along each axis, a Gaussian of 2.2 voxels
 
 
 def shaded(colours: Tensor, relief: Tensor, amount: float) -> Tensor:
@@ -37,9 +38,9 @@ def shaded(colours: Tensor, relief: Tensor, amount: float) -> Tensor:
 
 
 def find_relief(smoke: ActiveSmoke, positions: Tensor, scene: Scene) -> Tensor:
-    """How much of the sky points see, over what the smoke around them sees, [P] >= 0.
+    """How much of the sky points see, over what the visible smoke around them sees, [P] >= 0.
 
-    About 1 on even smoke, up to 1.4 on top of lumps, less in grooves, and 0 deep inside.
+    About 1 on even smoke, more on top of lumps, less in grooves, and near 0 deep inside.
 
     Args:
         smoke: all that hides the sky, one voxel or more.
@@ -52,22 +53,26 @@ def find_relief(smoke: ActiveSmoke, positions: Tensor, scene: Scene) -> Tensor:
     n_halvings = math.ceil(math.log2(max(longest / smoke.voxel_size / MOST_SIDE, 1.0)))
     for _ in range(n_halvings):
         smoke = coarsen(smoke)
-    seen = _seen_sky(smoke, scene)
-    # what hardly any light reaches does not count: no picture shows it
-    around = Surroundings(smoke, seen.square()).mean(seen[:, None], 1.0, AROUND)
-    relief = seen[:, None] / around.clamp_min(torch.finfo(seen.dtype).tiny)
+    sky, visible = _seen(smoke, scene)
+    around = Surroundings(smoke, visible).mean(sky[:, None], 1.0, AROUND)
+    relief = (sky[:, None] / around.clamp_min(torch.finfo(sky.dtype).tiny)).to(smoke.density)
     return sample_colours(smoke, relief, positions)[0][:, 0]
 
 
-def _seen_sky(smoke: ActiveSmoke, scene: Scene) -> Tensor:
-    """The share of the sky above that voxels see through the smoke, [N] in [0, 1]."""
+def _seen(smoke: ActiveSmoke, scene: Scene) -> tuple[Tensor, Tensor]:
+    """The share of the sky above that voxels see, and their light in the picture that shows them
+    best, [N] each, in [0, 1] and in double precision: sums over many voxels leave single's range.
+    """
 
     def seen(towards: np.ndarray) -> Tensor:
-        return trace_shadows(smoke, SOFT * scene.gamma_w, towards).at(smoke.positions)
+        found = trace_shadows(smoke, SOFT * scene.gamma_w, towards).at(smoke.positions)
+        return found.double()
 
-    directions = _sky_above(scene.up_axis)
-    found = run_on(smoke.density.device, [partial(seen, towards) for towards in directions])
-    return torch.stack(found).mean(0)
+    above = _sky_above(scene.up_axis)
+    found = run_on(smoke.density.device, [partial(seen, way) for way in (*above, *-above)])
+    shares = torch.stack(found)
+    alone = opacity(smoke.density.double() * (scene.gamma_w * smoke.voxel_size))
+    return shares[: len(above)].mean(0), shares.amax(0) ** (1 / SOFT) * alone
 
 
 def _sky_above(up_axis: str) -> np.ndarray:

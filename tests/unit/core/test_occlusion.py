@@ -1,0 +1,138 @@
+"""Ambient occlusion: what is in a groove is darker, what stands out is not, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
+from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from usdsmoke.core.smoke.tasks import computing_threads
+from usdsmoke.core.views.occlusion import find_relief, shaded
+from usdsmoke.core.views.scene import Scene
+
+N = 24  # voxels along a side of the block
+SCENE = Scene(2.0, 1.0, 1.0, "Y", 1.0, 48)  # pictures see half a voxel deep
+
+
+def grooved() -> np.ndarray:
+    """A block with a groove along z in its upper side, three wide and ten deep."""
+    density = np.ones((N, N, N), np.float32)
+    density[10:13, N - 10 :, :] = 0
+    return density
+
+
+def relief_of(density: np.ndarray, scene: Scene = SCENE) -> np.ndarray:
+    """Of each voxel, in the shape of the block; 1 where there is no smoke."""
+    smoke = smoke_of(density)
+    found = np.ones(density.shape)
+    found[tuple(smoke.ijk.T.numpy())] = find_relief(smoke, smoke.positions, scene).numpy()
+    return found
+
+
+def test_the_bottom_of_a_groove_is_darker_than_the_ridges_beside_it() -> None:
+    relief = relief_of(grooved())
+    assert bottom_of(relief).max() < 1 < 1.05 < ridges_of(relief).min()
+
+
+@pytest.mark.parametrize("gamma_w", [0.02, 0.2, 2.0, 20.0])
+def test_an_even_side_is_as_bright_as_before(gamma_w: float) -> None:
+    relief = relief_of(np.ones((48, 12, 48), np.float32), replace(SCENE, gamma_w=gamma_w))
+    light = np.exp(-gamma_w * np.arange(12))[::-1]  # of a layer in a picture from above
+    seen = (relief[20:28, :, 20:28].mean((0, 2)) * light).sum() / light.sum()
+    assert seen == pytest.approx(1.0, abs=0.1)
+
+
+def test_smoke_that_hides_nothing_keeps_its_colours() -> None:
+    relief = relief_of(grooved(), replace(SCENE, gamma_w=1e-5))
+    assert relief == pytest.approx(np.ones_like(relief), abs=1e-3)
+
+
+def test_the_sky_is_above_along_the_stages_up_axis() -> None:
+    upright = relief_of(grooved())
+    lying = relief_of(grooved().swapaxes(1, 2).copy(), replace(SCENE, up_axis="Z"))
+    assert lying.swapaxes(1, 2) == pytest.approx(upright, abs=1e-4)
+    below = relief_of(grooved()[:, ::-1].copy())[:, ::-1]  # turned over, and its relief back
+    assert ridges_of(upright).min() > 1.5 * ridges_of(below).max()
+
+
+def bottom_of(relief: np.ndarray) -> np.ndarray:
+    """The layer under the middle of the groove."""
+    return relief[11, N - 11, 8:16]
+
+
+def ridges_of(relief: np.ndarray) -> np.ndarray:
+    """The upper layer on both sides of the groove."""
+    return relief[[5, 18], N - 1, 8:16]
+
+
+def test_large_smoke_is_joined_to_the_same_relief() -> None:
+    fine = np.kron(grooved(), np.ones((4, 4, 4), np.float32))  # 96 voxels: joined once
+    coarse = np.kron(grooved(), np.ones((2, 2, 2), np.float32))  # 48: not joined
+    joined = relief_of(fine, Scene(0.5, 1.0, 1.0, "Y", 1.0, 96))
+    whole = relief_of(coarse, Scene(1.0, 1.0, 1.0, "Y", 1.0, 48))
+    means = joined.reshape(48, 2, 48, 2, 48, 2).mean((1, 3, 5))
+    assert np.abs(means - whole).mean() < 0.05 * whole.std()
+
+
+@pytest.mark.parametrize("n_voxels", [1, 2])
+def test_few_voxels_and_dense_ones_have_a_finite_relief(n_voxels: int) -> None:
+    density = np.zeros((3, 3, 3), np.float32)
+    density[0, 0, :n_voxels] = 1e30
+    smoke = smoke_of(density)
+    found = find_relief(smoke, smoke.positions, SCENE)
+    assert bool((found >= 0).all()) and bool(torch.isfinite(found).all())
+
+
+def test_threads_do_not_change_the_bits() -> None:
+    found = []
+    for n in (1, 3):
+        with computing_threads(n):
+            found.append(relief_of(grooved()))
+    assert np.array_equal(*found)
+
+
+def test_colours_are_no_brighter_than_white_for_their_relief() -> None:
+    colours = torch.tensor([[0.5, 0.9, 1.2]] * 3)
+    found = shaded(colours, torch.tensor([0.5, 1.0, 2.0]), 1.0)
+    expected = [[0.25, 0.45, 0.6], [0.5, 0.9, 1.2], [1.0, 1.0, 1.2]]
+    assert found.tolist() == [pytest.approx(row) for row in expected]
+    assert shaded(colours, torch.zeros(3), 0.4).tolist() == [pytest.approx([0.3, 0.54, 0.72])] * 3
+
+
+@pytest.mark.parametrize("target", ["emission", "both"])
+def test_a_run_darkens_what_it_would_write_without_occlusion(target: str) -> None:
+    plain, found = (run_with(amount, target) for amount in (0.0, 1.0))
+    before, after = plain.emission, found.emission
+    assert np.array_equal(plain.density.values, found.density.values)
+    assert by_voxel(after).keys() == by_voxel(before).keys()
+    smoke = smoke_of(plain.density.values)
+    relief = find_relief(smoke, smoke.positions, scene_of([frame_of(puff(16))], quick_config()))
+    at = tuple(smoke.ijk.T.numpy())
+    bright = before.values[at][:, 1] > 1e-3
+    ratio = (after.values[at][:, 1] / before.values[at][:, 1].clip(1e-9))[bright]
+    expected = relief.numpy()[bright]
+    assert np.corrcoef(ratio, expected)[0, 1] > 0.9
+    assert ratio[expected < 0.6].max() < 0.6
+
+
+def test_albedos_and_flat_smoke_are_left_alone() -> None:
+    flat = np.ones((16, 16, 1), np.float32)
+    assert same_bits(*(run_with(amount, "emission", flat) for amount in (0.0, 1.0)))
+    assert same_bits(*(run_with(amount, "albedo") for amount in (0.0, 1.0)))
+
+
+def run_with(amount, target, density=None):
+    config = quick_config(
+        optics={"sun": [0, 1, 0]} if target != "emission" else {},
+        colour={"occlusion": amount, "target": target, "iterations": [2, 2]},
+        optimize={"steps": ["colour"], "threads": 1, "tolerance": 0.0, "error_budget": False},
+    )
+    (found,) = run_core([frame_of(puff(16) if density is None else density)], config)
+    return found
+
+
+def same_bits(first, second) -> bool:
+    pairs = zip(first.painted, second.painted, strict=True)
+    return all(np.array_equal(a.values, b.values) for a, b in pairs)
