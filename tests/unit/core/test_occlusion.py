@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
+from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
 from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.views.occlusion import find_relief, shaded
