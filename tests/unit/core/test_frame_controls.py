@@ -146,7 +146,7 @@ def test_a_pattern_speed_holds_from_its_frame_to_the_next_one():
 
 def test_the_pattern_follows_the_smoke_or_stays_by_the_earlier_frames_speed():
     """With nothing optimised later, each frame's colours are the first one's, carried along."""
-    still = {"iterations": [2, 2], "warm_rate": 1e-9, "smoothing": 0.0}
+    still = {"iterations": [2, 2], "warm_rate": 1e-9, "smoothing": 0.0, "occlusion": 0.0}
     config = quick_config(colour=still, optimize=STEPS["colour"])
     frames = controlled(FRAMES[:3], pattern_speed=[0.0, 1.0, 0.0])
     colours = []
@@ -187,7 +187,7 @@ def test_a_frame_emits_by_its_own_extinction_and_reports_it():
     """Equal smoke, equal colours: light is colour x gamma_w x density."""
     config = quick_config(
         optimize=STEPS["colour"],
-        colour={"iterations": [2, 2], "warm_rate": 1e-9, "smoothing": 0.0},
+        colour={"iterations": [2, 2], "warm_rate": 1e-9, "smoothing": 0.0, "occlusion": 0.0},
     )
     frames = [replace(FRAMES[0], time_code=float(n), velocity=None) for n in range(3)]
     gammas = [0.1, 0.2, None]

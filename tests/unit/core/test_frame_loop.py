@@ -54,9 +54,9 @@ def errors_of(frames: list[VolumeFrame], **sections: dict) -> list[dict[str, flo
     return [report.to_json()["temporal"] for report in reports[1:]]
 
 
-STILL = {  # later frames take over what they start from
+STILL = {  # later frames take over what they start from, and write it as it is
     "shape": {"iterations": [2, 2], "warm_rate": 1e-9, "smoothing": 0.0},
-    "colour": {"iterations": [2, 2], "warm_rate": 1e-9, "smoothing": 0.0},
+    "colour": {"iterations": [2, 2], "warm_rate": 1e-9, "smoothing": 0.0, "occlusion": 0.0},
 }
 
 

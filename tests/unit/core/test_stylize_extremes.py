@@ -237,7 +237,7 @@ def test_any_time_codes(time_codes):
 
 def test_a_grid_that_changes_place_and_voxel_size_from_frame_to_frame():
     """Smoke that stands still in space keeps its colours though its voxels are others."""
-    config = quick_config(colour={"iterations": [0]}, **COLOUR_ONLY)
+    config = quick_config(colour={"iterations": [0], "occlusion": 0.0}, **COLOUR_ONLY)
     finer = np.diag([0.5, 0.5, 0.5, 1.0])
     finer[3, :3] = -0.25
     first = frame_of(np.ones((6, 6, 6)), 1.0)
