@@ -1,6 +1,7 @@
 """How the command ends when it does not simply succeed: signals, closed pipes, surprises."""
 
 import contextlib
+import errno
 import importlib
 import json
 import os
@@ -87,6 +88,18 @@ def test_nobody_reading_stdout_is_no_error(shot: Shot) -> None:
             stdout=stdout, stderr=subprocess.PIPE, text=True, cwd=PROJECT, timeout=60,
         )  # fmt: skip
     assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+@pytest.mark.parametrize("words", [["settings"], ["inspect", "none.usda", "--json"]])
+def test_a_full_disk_behind_stdout_is_named_without_a_traceback(words: list[str]) -> None:
+    command = [sys.executable, "-m", "usdsmoke", *words]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, cwd=PROJECT, text=True, check=False
+        )
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert os.strerror(errno.ENOSPC) in done.stderr
 
 
 @pytest.mark.parametrize("stream", ["stdout", "stderr"])

@@ -10,6 +10,7 @@ With ``--json`` stdout holds exactly one JSON value, whatever happens: the resul
 """
 
 import argparse
+import errno
 import gc
 import json
 import os
@@ -31,6 +32,7 @@ from usdsmoke.base.machine import (
 
 _LOWER = "Lower views.pool, views.image_size or grids.refine"
 _BROKEN_PIPE = 128 + 13
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # of a disk
 _AGAIN_S = 0.02  # until a signal that waits for an import is looked at again
 
 
@@ -56,9 +58,14 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
             return _stopped(seen) if seen else code
     except BrokenPipeError:
-        # Whatever is flushed when the interpreter ends must not complain again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _close_output()
         return _BROKEN_PIPE
+    except OSError as error:
+        if not _is_output(error):
+            raise
+        _close_output()
+        print(f"usdsmoke: {_no_output(error)}", file=sys.stderr)
+        return 1
     finally:
         if argv is None:  # the process ends: to look through torch's objects takes half a second
             gc.freeze()
@@ -71,6 +78,20 @@ def _open_closed_streams() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))
+
+
+def _close_output() -> None:
+    """Let go of what stdout does not take: it must not complain when the interpreter ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _is_output(error: BaseException) -> bool:
+    """Whether stdout is a file that takes no more; errors of other files name these."""
+    return isinstance(error, OSError) and error.filename is None and error.errno in _FULL
+
+
+def _no_output(error: OSError) -> str:
+    return f"cannot write standard output: {error.strerror}. Free some space, or write elsewhere."
 
 
 def _main(words: Sequence[str], is_process: bool, seen: list[int]) -> int:
@@ -121,8 +142,11 @@ def _run(
     """Run a command and turn its errors into messages and exit codes."""
     try:
         return command(arguments)
-    except BrokenPipeError:
-        raise
+    except OSError as error:
+        if isinstance(error, BrokenPipeError) or _is_output(error):
+            raise
+        _report(error, arguments)
+        return 1
     except (UsdSmokeError, KeyboardInterrupt, MemoryError) as error:
         _report(error, arguments)
         stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
