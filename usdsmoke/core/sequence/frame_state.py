@@ -145,15 +145,18 @@ class OpenedFrame:
         """
         return None if self.config.colour.target == "both" else self.all_light()
 
+    def whole_smoke(self) -> ActiveSmoke:
+        """What hides light: the painted smoke, and what the camera does not see."""
+        if self.visibility is None:
+            return self.smoke
+        return activate(self.density, self.frame.density_to_stage, self.smoke.ijk.device)
+
     def all_light(self) -> Lighting | None:
         """Light in the smoke, all of it: what the camera does not see casts shadows too."""
         lights, config = self.frame.lights, self.config
         if not lights or config.albedo == 0:
             return None
-        smoke = self.smoke
-        if self.visibility is not None:
-            smoke = activate(self.density, self.frame.density_to_stage, smoke.ijk.device)
-        optics = config.optics
+        smoke, optics = self.whole_smoke(), config.optics
         scattering = Scattering(lights, config.albedo, optics.anisotropy, optics.bounces)
         found = light_smoke(smoke, self.scene.gamma_w, scattering.exposed(self.scene.stops))
         weighs = config.colour.target == "albedo"

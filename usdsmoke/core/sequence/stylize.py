@@ -145,7 +145,7 @@ def _occluded(frame: PaintedFrame) -> PaintedFrame:
     if frame.config.colour.target == "albedo":  # whose light is hidden itself
         return frame
     started, (painted, colours) = time.perf_counter(), paint
-    relief = find_relief(frame.smoke, painted.positions, frame.scene)
+    relief = find_relief(frame.whole_smoke(), painted.positions, frame.scene)
     colours, report = shaded(colours, relief, amount), frame.report
     if (step := report.colour) is not None:
         seconds = step.seconds + time.perf_counter() - started

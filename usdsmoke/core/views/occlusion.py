@@ -21,7 +21,9 @@ from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.shadows import trace_shadows
 
 MOST_SIDE = 64  # voxels along the longer side of the pictures; smaller ones are joined
+MOST_VOXELS = 2**19  # after that: cubes of the longer side have half as many
 SOFT = 0.12  # of the extinction: shade lies on lumps of smoke, not on its single voxels
+MOST = 2.0  # relief: only what no picture shows has more, next to darker smoke
 AROUND = 7  # means over three voxels along each axis, a Gaussian of 2.2 voxels
 
 
@@ -38,7 +40,7 @@ def shaded(colours: Tensor, relief: Tensor, amount: float) -> Tensor:
 
 
 def find_relief(smoke: ActiveSmoke, positions: Tensor, scene: Scene) -> Tensor:
-    """How much of the sky points see, over what the visible smoke around them sees, [P] >= 0.
+    """How much of the sky points see, over what visible smoke around them sees, [P] in [0, MOST].
 
     About 1 on even smoke, more on top of lumps, less in grooves, and near 0 deep inside.
 
@@ -53,9 +55,12 @@ def find_relief(smoke: ActiveSmoke, positions: Tensor, scene: Scene) -> Tensor:
     n_halvings = math.ceil(math.log2(max(longest / smoke.voxel_size / MOST_SIDE, 1.0)))
     for _ in range(n_halvings):
         smoke = coarsen(smoke)
+    while len(smoke.ijk) > MOST_VOXELS:  # a camera sees a small part of it
+        smoke = coarsen(smoke)
     sky, visible = _seen(smoke, scene)
     around = Surroundings(smoke, visible).mean(sky[:, None], 1.0, AROUND)
-    relief = (sky[:, None] / around.clamp_min(torch.finfo(sky.dtype).tiny)).to(smoke.density)
+    relief = sky[:, None] / around.clamp_min(torch.finfo(sky.dtype).tiny)
+    relief = relief.clamp_max(MOST).to(smoke.density)
     return sample_colours(smoke, relief, positions)[0][:, 0]
 
 

@@ -86,7 +86,7 @@ def _close_output() -> None:
 
 
 def _is_output(error: BaseException) -> bool:
-    """Whether stdout is a file that takes no more; errors of other files name these."""
+    """Whether stdout is a file that takes no more: what writes other files names them."""
     return isinstance(error, OSError) and error.filename is None and error.errno in _FULL
 
 
