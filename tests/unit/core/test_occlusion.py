@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
+from tests.fixtures.camera_fixtures import DENSITY, MIDDLE, looking, seen_by
+from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.views.occlusion import find_relief, shaded
 from usdsmoke.core.views.scene import Scene
@@ -83,6 +85,20 @@ def test_few_voxels_and_dense_ones_have_a_finite_relief(n_voxels: int) -> None:
     smoke = smoke_of(density)
     found = find_relief(smoke, smoke.positions, SCENE)
     assert bool((found >= 0).all()) and bool(torch.isfinite(found).all())
+
+
+def test_smoke_that_the_camera_misses_hides_the_sky_too() -> None:
+    beside = np.add(MIDDLE, [8, 0, 0])
+    frame = seen_by(looking(np.add(beside, [0, 0, 40]), beside, film=8.0))
+    config = quick_config()
+    context = make_context([random_style()], scene_of([frame], config), config, None, 24.0, None, 1)
+    opened = open_frame(frame, context)
+    assert 0 < len(opened.smoke.ijk) < len(opened.whole_smoke().ijk) == (DENSITY > 0).sum()
+
+
+def test_relief_is_bounded_in_grainy_smoke() -> None:
+    grains = np.random.default_rng(0).random((N, N, N)) ** 8 * 50
+    assert relief_of(grains.astype(np.float32)).max() == 2.0
 
 
 def test_threads_do_not_change_the_bits() -> None:
