@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from os import PathLike
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from usdsmoke.base.machine import package_versions, platform_name
 from usdsmoke.base.naming import RUNS_FOLDER, find_look_layers
 from usdsmoke.base.record_format import hash_file
 from usdsmoke.config.run_sections import GridsConfig
-from usdsmoke.runs.run import damaged_records, find_runs
+from usdsmoke.runs.run import Run, damaged_records, find_runs
 from usdsmoke.usd.diagnostics import open_quietly
 from usdsmoke.usd.layer_record import (
     LAYER_HASH,
@@ -129,7 +130,7 @@ def _check_rest(item: FoundRecord) -> Iterator[Change]:
         root = look_files(item.record.stage, item.folder, recorded_config(item).layer).root_stage
         if root is not None and item.record.stage and not os.path.isfile(root):
             yield Change.note("root-missing", str(root), "the stage to open", "no file")
-    if any(run.run_id == item.record.run for run in find_runs(item.folder)):
+    if _run_of(item) is not None:
         return
     expected = "the record of the run, which assembles and repeats it"
     folders = {item.place(name).parent for name in item.record.results}
@@ -145,37 +146,25 @@ def _check_results(item: FoundRecord) -> list[Change]:
         expected = "frames of the result"
         return [Change("result-missing", str(item.file), expected, "none that can be read")]
     files = [item.place(name) for name in item.record.results]
-    known = _recorded_bytes(item)
-    digests = [known.get(file.absolute(), "") for file in files]
+    check = partial(_check_result, _run_of(item))
     with ThreadPoolExecutor(max_workers=FILES_AT_ONCE) as pool:
-        found = pool.map(_check_result, files, item.record.results.values(), digests)
+        found = pool.map(check, files, item.record.results.values())
     return [change for change in found if change is not None]
 
 
-def _recorded_bytes(item: FoundRecord) -> dict[Path, str]:
-    """The SHA-256 of the result's files, by path, where the record of their run is left."""
-    return {
-        (run.folder / name).absolute(): str(frame.get("sha256", ""))
-        for run in find_runs(item.folder)
-        if run.run_id == item.record.run
-        for name, frame in run.frames.items()
-    }
-
-
-def _check_result(path: Path, recorded: str, digest: str) -> Change | None:
-    """Compare the grids of a file, and its bytes if their SHA-256 is known.
+def _check_result(run: Run | None, path: Path, recorded: str) -> Change | None:
+    """Compare the grids of a file, and its bytes if the record of their run is left.
 
     OpenVDB reads some damaged files without an error.
     """
     written = compare_written(path, recorded)
     file, expected, detail = str(path), f"grids {shown(recorded)}", written.found
-    if written.state in (State.INTACT, State.UNCHECKED):
-        has_other_bytes = bool(digest) and hash_file(path) != digest
-        if written.state == State.UNCHECKED:
-            if has_other_bytes:
-                return Change("result-edited", file, expected, f"other bytes, and {detail}")
-            return Change.note("unchecked", file, expected, detail)
-        if has_other_bytes:
+    if written.state == State.UNCHECKED:
+        if _has_other_bytes(run, path):
+            return Change("result-edited", file, expected, f"other bytes, and {detail}")
+        return Change.note("unchecked", file, expected, detail)
+    if written.state == State.INTACT:
+        if _has_other_bytes(run, path):
             return Change.note("result-rewritten", file, expected, "the same grids in other bytes")
         return None
     kind, found = {
@@ -186,6 +175,20 @@ def _check_result(path: Path, recorded: str, digest: str) -> Change | None:
         State.CHANGED: ("result-edited", f"grids {shown(detail)}"),
     }[written.state]
     return Change(kind, file, expected, found)
+
+
+def _has_other_bytes(run: Run | None, path: Path) -> bool:
+    """Whether a file of the run is not the one that it recorded."""
+    if run is None or path.parent.absolute() != run.folder.absolute():
+        return False
+    digest = run.frames.get(path.name, {}).get("sha256", "")
+    return bool(digest) and not run.is_unchanged(path.name, digest)
+
+
+def _run_of(item: FoundRecord) -> Run | None:
+    """The run that a record tells of, if its own record is left."""
+    runs = (run for run in find_runs(item.folder) if run.run_id == item.record.run)
+    return next(runs, None)
 
 
 def _check_versions(item: FoundRecord) -> Iterator[Change]:

@@ -21,7 +21,7 @@ from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.shadows import trace_shadows
 
 MOST_SIDE = 64  # voxels along the longer side of the pictures; smaller ones are joined
-MOST_VOXELS = 2**19  # after that: cubes of the longer side have half as many
+MOST_VOXELS = 2**19  # twice those of a cube of that side; smoke beyond the picture may have more
 SOFT = 0.12  # of the extinction: shade lies on lumps of smoke, not on its single voxels
 MOST = 2.0  # relief: only what no picture shows has more, next to darker smoke
 AROUND = 7  # means over three voxels along each axis, a Gaussian of 2.2 voxels
@@ -55,7 +55,7 @@ def find_relief(smoke: ActiveSmoke, positions: Tensor, scene: Scene) -> Tensor:
     n_halvings = math.ceil(math.log2(max(longest / smoke.voxel_size / MOST_SIDE, 1.0)))
     for _ in range(n_halvings):
         smoke = coarsen(smoke)
-    while len(smoke.ijk) > MOST_VOXELS:  # a camera sees a small part of it
+    while len(smoke.ijk) > MOST_VOXELS:
         smoke = coarsen(smoke)
     sky, visible = _seen(smoke, scene)
     around = Surroundings(smoke, visible).mean(sky[:, None], 1.0, AROUND)
@@ -81,7 +81,10 @@ def _seen(smoke: ActiveSmoke, scene: Scene) -> tuple[Tensor, Tensor]:
 
 
 def _sky_above(up_axis: str) -> np.ndarray:
-    """Unit vectors to the sky, [6 3]: the upper corners of an icosahedron, of equal weight."""
+    """Unit vectors to the sky, [6 3]: the upper corners of an icosahedron, of equal weight.
+
+    It stands on a corner: of those of ``lighting.sky_directions``, some lie on the horizon.
+    """
     angle = np.arange(5) * (2 * np.pi / 5)
     ring = np.stack([2 * np.cos(angle), np.ones(5), 2 * np.sin(angle)], axis=1) / 5**0.5
     found: np.ndarray = np.concatenate([[[0.0, 1.0, 0.0]], ring])

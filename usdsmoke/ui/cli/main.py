@@ -64,7 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not _is_output(error):
             raise
         _close_output()
-        print(f"usdsmoke: {_no_output(error)}", file=sys.stderr)
+        message = f"cannot write standard output: {error.strerror}"
+        print(f"usdsmoke: {message}. Free some space, or write elsewhere.", file=sys.stderr)
         return 1
     finally:
         if argv is None:  # the process ends: to look through torch's objects takes half a second
@@ -88,10 +89,6 @@ def _close_output() -> None:
 def _is_output(error: BaseException) -> bool:
     """Whether stdout is a file that takes no more: what writes other files names them."""
     return isinstance(error, OSError) and error.filename is None and error.errno in _FULL
-
-
-def _no_output(error: OSError) -> str:
-    return f"cannot write standard output: {error.strerror}. Free some space, or write elsewhere."
 
 
 def _main(words: Sequence[str], is_process: bool, seen: list[int]) -> int:
@@ -142,11 +139,8 @@ def _run(
     """Run a command and turn its errors into messages and exit codes."""
     try:
         return command(arguments)
-    except OSError as error:
-        if isinstance(error, BrokenPipeError) or _is_output(error):
-            raise
-        _report(error, arguments)
-        return 1
+    except BrokenPipeError:
+        raise
     except (UsdSmokeError, KeyboardInterrupt, MemoryError) as error:
         _report(error, arguments)
         stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
@@ -156,6 +150,8 @@ def _run(
         _report(error if is_ours else missing_package(error.name), arguments)
         return 1
     except Exception as error:
+        if _is_output(error):
+            raise
         _report(error, arguments)
         return 1
 
