@@ -124,8 +124,9 @@ class StyleConfig(Section):
     colour: float = setting(
         1.0, "amount of the style's colour; 0: grey, above 1: more than the style has", ge=0, le=2)
     lift: float = setting(
-        0.0, "level to which the style's black is lifted; 0: black, which hides what is behind it; "
-        "white stays", ge=0, le=0.9)
+        0.45, "brightest channel that dark areas of the style are lifted to, with the marks in "
+        "them, so that they do not look like holes; dark marks in bright areas, and black without "
+        "marks, stay; 0: as in the style", ge=0, le=0.9)
     weights: Weights = setting(
         [], "one weight for each style image; only their ratios matter; empty: equal weights",
         request="styleWeights", control="style_weights")

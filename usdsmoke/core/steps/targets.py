@@ -30,21 +30,26 @@ class StyleFeatures:
     """A style image and what is measured on it, once, whatever its share.
 
     Args:
-        pixels: display-encoded [H W 3] in [0, 1].
+        toned: -> display-encoded [H W 3] in [0, 1]; called when something is first measured.
         make_target: pixels, factor, grey -> what pictures 1/factor of full size are compared with.
         scaled: pixels -> those at the size of full pictures.
     """
 
     def __init__(
         self,
-        pixels: np.ndarray,
+        toned: Callable[[], np.ndarray],
         make_target: Callable[[np.ndarray, int, bool], StyleTarget],
         scaled: Callable[[np.ndarray], Tensor],
     ) -> None:
-        self._pixels = torch.as_tensor(np.ascontiguousarray(pixels))
-        self._scaled = partial(scaled, pixels)
+        self._toned, self._scaled = cache(toned), scaled
         #: factor, grey -> what pictures 1/factor of full size are compared with
-        self.target: Callable[[int, bool], StyleTarget] = cache(partial(make_target, pixels))
+        self.target: Callable[[int, bool], StyleTarget] = cache(
+            lambda factor, grey: make_target(self._toned(), factor, grey)
+        )
+
+    @cached_property
+    def _pixels(self) -> Tensor:
+        return torch.as_tensor(np.ascontiguousarray(self._toned()))
 
     @cached_property
     def mean(self) -> Tensor:
@@ -76,7 +81,7 @@ class StyleFeatures:
     def shown(self) -> float:
         """The share of the colours' deviation that is left at the size of full pictures."""
         spread = self.colours[1]
-        return _mean_and_deviation(self._scaled())[1] / spread if spread > 0 else 1.0
+        return _mean_and_deviation(self._scaled(self._toned()))[1] / spread if spread > 0 else 1.0
 
 
 def _mean_and_deviation(pixels: Tensor) -> tuple[Tensor, float]:
@@ -221,9 +226,8 @@ def make_targets(
             network = network_for()
         return StyleTarget(style, network(style), layers, config.losses, content, nearest, seed)
 
-    images = tuple(
-        StyleFeatures(adjust_tones(pixels, config.style), make_target, scaled) for pixels in styles
-    )
+    tone = partial(adjust_tones, config=config.style)
+    images = tuple(StyleFeatures(partial(tone, pixels), make_target, scaled) for pixels in styles)
     shares = tuple(style_shares(config.style, len(images)))
     return StyleTargets(images, shares, config.losses, device)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from usdsmoke.base.errors import count_text
+from usdsmoke.base.machine import process_seconds
 from usdsmoke.base.publish import publish_file
 from usdsmoke.config.presets import preset_file
 from usdsmoke.config.resolve import Settings, resolve_config, settings_yaml
@@ -233,6 +234,7 @@ def run_rerun(arguments: argparse.Namespace) -> int:
     from usdsmoke.audit import rerun
     from usdsmoke.ui.cli.progress_bar import ConsoleProgress
 
+    arguments.starting = arguments.starting and process_seconds()  # with the imports
     with ConsoleProgress(Console(stderr=True)) as progress:
         again = rerun(
             arguments.file,

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from usdsmoke.base.errors import REFUSED
+from usdsmoke.base.machine import process_seconds
 from usdsmoke.ui.cli.budget_text import budget_text
 from usdsmoke.ui.cli.options import given_settings
 from usdsmoke.ui.cli.plan_text import plan_text
@@ -132,6 +133,7 @@ def _run_whole(
         return stylize_on_cluster(arguments.cluster, request, progress, planned)
     from usdsmoke.farm import stylize_in_processes
 
+    arguments.starting = arguments.starting and process_seconds()  # with the imports
     return stylize_in_processes(arguments.jobs, request, progress, planned)
 
 
