@@ -191,3 +191,15 @@ def test_numbers_are_wide_enough_for_every_frame_and_keep_fractions() -> None:
     assert list(frame_places("{frame}/{name}.{frame}.vdb", names, [1, 1.5]).values()) == [
         "1.0/fog.1.0.vdb", "1.5/fog.1.5.vdb",
     ]  # fmt: skip
+
+
+def test_a_picture_in_the_place_of_a_sheet_stays_unless_a_run_has_put_it_there(shot: Shot) -> None:
+    sheet = shot.output / "contact_sheet.png"
+    sheet.parent.mkdir(parents=True)
+    sheet.write_text("mine")
+    with pytest.raises(LayerError):
+        run(shot, "layer.contact_sheet=64", force=True)
+    assert sheet.read_text() == "mine"
+    run(shot, "layer.contact_sheet=0")
+    run(shot, "layer.contact_sheet=64", force=True)
+    assert sheet.read_bytes().startswith(b"\x89PNG")

@@ -8,12 +8,13 @@ next is replaced when the later result is assembled.
 from pathlib import Path, PurePosixPath
 
 from usdsmoke.base.errors import LayerError, UsdSmokeError
+from usdsmoke.base.naming import find_run_files
 from usdsmoke.base.publish import share_file
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.make_plan import result_file_names
 from usdsmoke.planning.plan import FramePlan, Plan, VolumePlan
 from usdsmoke.runs.run import Run, find_runs
-from usdsmoke.usd.look import check_root_file
+from usdsmoke.usd.look import check_root_file, published_runs
 from usdsmoke.vdb.header import read_header
 
 
@@ -49,6 +50,14 @@ def check_targets(job: Job) -> None:
     """
     check_delivery(job.plan, job.output)
     check_root_file(job.targets, job.config.layer.mode, Path(job.plan.source.file_path))
+    if published_runs(job.targets.look_layer) or find_run_files(job.output):
+        return  # a sheet that is there is theirs
+    for sheet in job.sheets:
+        if sheet.exists():
+            raise LayerError(
+                f"{sheet} does not belong to a result in {job.output}, and would be overwritten. "
+                "Move it away, or set layer.contact_sheet=0."
+            )
 
 
 def check_delivery(plan: Plan, output: Path) -> None:
