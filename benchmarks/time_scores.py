@@ -1,10 +1,11 @@
-"""Closeness to the style against time: the default statistic, sorting, and Gram matrices.
+"""Closeness to the style against time: the default statistic, sorting, Gram matrices, presets.
 
     python -m benchmarks.time_scores STAGE STYLE [--shares .125 .25 .5 1 2] [--picture FILE]
 
 Runs ``usdsmoke stylize`` with shares of the default iterations, for each way of comparing features,
-and measures the written files on views that the optimiser never had: the default style loss, which
-compares distributions, and scores that no run aims at. Sheets and error estimates are left out.
+and with the presets ``draft`` and ``final``. Measures the written files on views that the optimiser
+never had: the default style loss, which compares distributions, and scores that no run aims at.
+Sheets and error estimates are left out.
 """
 
 import argparse
@@ -34,6 +35,7 @@ WAYS: dict[str, tuple[bool, list[str]]] = {
     "Gram matrices": (False, ["losses.statistic=gram"]),
 }
 LOOKS = {name: look for name, look in zip(WAYS, ("#c03020", "#3060a0", "#408040"), strict=True)}
+PRESETS = {"draft": "v", "final": "^"}  # markers; the default settings are ``daily``
 MEASURES = {"patch": "patches", "spectrum_root": "spectrum root", "edges": "edges"}
 N_VIEWS, IMAGE_SIZE = 6, 192
 _RUN = (
@@ -47,8 +49,8 @@ _RUN = (
 class Point:
     """One run."""
 
-    way: str
-    share: float  # of the default iterations
+    way: str  # key of WAYS or of PRESETS
+    share: float  # of the default iterations; 0 for a preset, which has its own
     cpu_s: float
     loss: float
     scores: dict[str, float]  # closures, and the share of outliers
@@ -60,19 +62,14 @@ def measure(stage: Path, style: Path, way: str, share: float) -> Point:
     Raises:
         RuntimeError: the run failed; its own message went to stderr.
     """
-    sorts, settings = WAYS[way]
-    config = Config()
+    sorts, settings = WAYS.get(way, (False, []))
     words = ["optimize.threads=1", "optimize.error_budget=false", "layer.contact_sheet=0"]
-    for step, per_octave in (
-        ("shape", config.shape.iterations),
-        ("colour", config.colour.iterations),
-    ):
-        counts = octave_iterations(per_octave, round(share * sum(per_octave)))
-        words.append(f"{step}.iterations=[{','.join(map(str, counts))}]")
+    words += settings if way in PRESETS else [*_iterations(share), *settings]
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-c", _RUN, "sort" if sorts else "count", "stylize", str(stage)]
         command += ["--style", str(style), "-o", folder, "--force"]
-        command += [word for setting in words + settings for word in ("--set", setting)]
+        command += ["--preset", way] if way in PRESETS else []
+        command += [word for setting in words for word in ("--set", setting)]
         child = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         _, status, usage = os.wait4(child.pid, 0)
         child.returncode = os.waitstatus_to_exitcode(status)
@@ -89,6 +86,18 @@ def measure(stage: Path, style: Path, way: str, share: float) -> Point:
     return Point(way, share, usage.ru_utime + usage.ru_stime, loss, scores)
 
 
+def _iterations(share: float) -> list[str]:
+    """Settings of a share of the default iterations."""
+    words, config = [], Config()
+    for step, per_octave in (
+        ("shape", config.shape.iterations),
+        ("colour", config.colour.iterations),
+    ):
+        counts = octave_iterations(per_octave, round(share * sum(per_octave)))
+        words.append(f"{step}.iterations=[{','.join(map(str, counts))}]")
+    return words
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     parser = argparse.ArgumentParser(
@@ -102,10 +111,11 @@ def main(arguments: list[str] | None = None) -> int:
     words = arguments if arguments is not None else sys.argv[1:]
     options = parser.parse_args(words)
     points = []
-    for share in options.shares:  # ways in turn: what else the machine does meets all of them
-        for way in WAYS:
-            points.append(measure(options.stage, options.style, way, share))
-            print(points[-1], file=sys.stderr, flush=True)
+    # ways in turn: what else the machine does meets all of them
+    runs = [(way, share) for share in options.shares for way in WAYS]
+    for way, share in [*runs, *((preset, 0.0) for preset in PRESETS)]:
+        points.append(measure(options.stage, options.style, way, share))
+        print(points[-1], file=sys.stderr, flush=True)
     publish(_page(points, words), options.report)
     if options.picture:
         _draw(points, options.picture)
@@ -119,12 +129,14 @@ def _page(points: Sequence[Point], arguments: Sequence[str]) -> str:
         "Shares of the default iterations, one thread. The loss is the default one, of colour",
         "pictures from views that the optimiser never had; 0 is the style itself. Scores",
         "(`benchmarks/measures.py`) are near 1 for crops of the style. A run with Gram matrices or",
-        "with sorting is judged by the same figures.",
+        "with sorting is judged by the same figures. The preset `daily` is share 1.",
     ]
     columns = ["features compared by", "share", "CPU s", "unseen loss", *MEASURES.values()]
     rows = []
-    for point in sorted(points, key=lambda point: (list(WAYS).index(point.way), point.share)):
-        cells = [point.way, f"{point.share:g}", f"{point.cpu_s:.1f}", f"{point.loss:.2f}"]
+    order = [*WAYS, *PRESETS]
+    for point in sorted(points, key=lambda point: (order.index(point.way), point.share)):
+        share = f"{point.share:g}" if point.way in WAYS else ""
+        cells = [point.way, share, f"{point.cpu_s:.1f}", f"{point.loss:.2f}"]
         cells += [f"{point.scores[name]:.2f}" for name in MEASURES]
         rows.append(f"| {' | '.join([*cells, format(point.scores['outliers'], '.3f')])} |")
     command = ["python -m benchmarks.time_scores", *arguments]
@@ -143,6 +155,11 @@ def _draw(points: Sequence[Point], file_path: Path) -> None:
         values = [[p.loss for p in drawn], *([p.scores[n] for p in drawn] for n in MEASURES)]
         for axis, y in zip(axes, values, strict=True):
             axis.plot(x, y, color=colour, marker="o", markersize=4, linewidth=1.4, label=way)
+    for point in (point for point in points if point.way in PRESETS):
+        values = [point.loss, *(point.scores[name] for name in MEASURES)]
+        for axis, y in zip(axes, values, strict=True):
+            mark = PRESETS[point.way]
+            axis.plot([point.cpu_s], [y], color="#202020", marker=mark, ls="", label=point.way)
     spent = [point.cpu_s for point in points]
     ticks = [n for n in (3, 5, 10, 20, 40, 80, 160) if min(spent) / 2 < n < 2 * max(spent)]
     for axis, name in zip(axes, ("unseen loss", *MEASURES.values()), strict=True):
@@ -152,7 +169,7 @@ def _draw(points: Sequence[Point], file_path: Path) -> None:
         axis.grid(True, color="#e6e6e6", linewidth=0.6)
         axis.set_axisbelow(True)
     lines, names = axes[0].get_legend_handles_labels()
-    figure.legend(lines, names, loc="outside upper center", ncols=3, frameon=False)
+    figure.legend(lines, names, loc="outside upper center", ncols=5, frameon=False)
     figure.savefig(file_path, metadata={"Software": None})
 
 
