@@ -125,8 +125,8 @@ class StyleConfig(Section):
         1.0, "amount of the style's colour; 0: grey, above 1: more than the style has", ge=0, le=2)
     lift: float = setting(
         0.45, "brightest channel that dark areas of the style are lifted to, with the marks in "
-        "them, so that they do not look like holes; dark marks in bright areas, and black without "
-        "marks, stay; 0: as in the style", ge=0, le=0.9)
+        "them, so that they do not look like holes, but not above the mean of the image; dark "
+        "marks in bright areas, and black without marks, stay; 0: as in the style", ge=0, le=0.9)
     weights: Weights = setting(
         [], "one weight for each style image; only their ratios matter; empty: equal weights",
         request="styleWeights", control="style_weights")

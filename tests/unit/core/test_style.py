@@ -63,16 +63,30 @@ def test_colour_scales_the_distance_from_grey():
     assert np.ptp(more[0, 1]) == pytest.approx(0.3) and more.min() >= 0 and more.max() <= 1
 
 
+def lit(colour: float | list[float]) -> np.ndarray:
+    """An area of one colour, [30 60 3], left of a white one of the same size."""
+    return np.concatenate([np.full((30, 60, 3), colour), np.ones((30, 60, 3))], 1, dtype=np.float32)
+
+
 @pytest.mark.parametrize(
     ("found", "lifted"), [(0.0, 0.0), (0.02, 0.0755), (0.15, 0.3), (0.3, 0.3), (0.7, 0.7), (1, 1)]
 )
 def test_an_even_area_is_lifted_to_the_level_or_to_four_times_its_brightness(found, lifted):
-    style = np.full((30, 60, 3), found, np.float32)
-    assert np.allclose(adjust_tones(style, StyleConfig(lift=0.3)), lifted, atol=1e-4)
+    toned = adjust_tones(lit(found), StyleConfig(lift=0.3))
+    assert np.allclose(toned[:, :40], lifted, atol=1e-4)
+    assert np.allclose(toned[:, 60:], 1)
+
+
+def test_a_style_that_is_dark_as_a_whole_stays_dark():
+    dark = np.full((30, 60, 3), 0.1, np.float32)
+    assert np.allclose(adjust_tones(dark, StyleConfig(lift=0.3)), dark, atol=1e-6)
+    dark[:, 50:] = 0.4
+    toned = adjust_tones(dark, StyleConfig(lift=0.3))
+    assert np.allclose(toned[:, :40], 0.15, atol=1e-4)  # the mean of the image
 
 
 def test_lifting_keeps_hues_and_bright_colours_and_lowers_the_saturation_of_dark_ones():
-    red, brown = (np.full((30, 60, 3), c, np.float32) for c in ([0.4, 0.02, 0.02], [0.1, 0.05, 0]))
+    red, brown = lit([0.4, 0.02, 0.02]), lit([0.1, 0.05, 0])
     kept, lifted = (adjust_tones(style, StyleConfig(lift=0.3)) for style in (red, brown))
     assert np.allclose(kept, red, atol=1e-6)  # its luma is 0.1, but it is no hole
     highest, middle, lowest = lifted[10, 10]

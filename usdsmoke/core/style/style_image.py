@@ -64,6 +64,7 @@ def _lift_areas(style: np.ndarray, level: float) -> np.ndarray:
     The value of a colour is its brightest channel: dark red is dark to the eye, but no hole. A
     curve that keeps black and white takes the mean value around a pixel to the level, or as far as
     its slope at black allows. So dark marks in bright areas stay, and so does black without marks.
+    The level is at most the mean of the image, so a style that is dark as a whole stays dark.
     Hues stay; saturation falls by the root of the gain, because colours near black are mostly
     noise.
 
@@ -73,11 +74,12 @@ def _lift_areas(style: np.ndarray, level: float) -> np.ndarray:
     """
     pixels = torch.as_tensor(np.ascontiguousarray(style))
     value = pixels.amax(-1)
+    level = min(level, float(value.mean(dtype=torch.float64)))
     around, lifted = _mean_around(value), torch.empty_like(pixels)
     n_rows = max(1, _LIFTED_AT_ONCE // pixels.shape[1])
     for part in (slice(row, row + n_rows) for row in range(0, len(pixels), n_rows)):
         mean, here = around[part], value[part]
-        slope = level * (1 - mean) / (mean * (1 - level)).clamp_min(1e-6)
+        slope = level * (1 - mean) / (mean * max(1 - level, 1e-6)).clamp_min(1e-6)
         slope = slope.clamp(1, _STEEPEST)
         gain = slope / (1 + (slope - 1) * here)
         whiteness = (here[..., None] - pixels[part]) * gain.rsqrt()[..., None]
