@@ -48,7 +48,7 @@ WORDS = {
     "style.size": ("1", "0.5", "2"),
     "optimize.strength": ("1", "0.3", "0.6"),
     "style.colour": ("1", "0", "2"),
-    "style.lift": ("0.45", "0", "0.7"),
+    "colour.lift": ("0.45", "0", "0.7"),
     "optics.depth": ("30", "3", "10"),
 }
 

@@ -30,7 +30,6 @@ QUICK = {
     "optimize.steps": ["colour"],
     "optimize.threads": 1,
     "style.size": 1.0,
-    "style.lift": 0.0,
     "optimize.error_budget": False,
     "layer.contact_sheet": 0,
 }

@@ -123,10 +123,6 @@ class StyleConfig(Section):
         "of the style are finer than voxels can hold", gt=0, le=8, request="styleSize")
     colour: float = setting(
         1.0, "amount of the style's colour; 0: grey, above 1: more than the style has", ge=0, le=2)
-    lift: float = setting(
-        0.45, "brightest channel that dark areas of the style are lifted to, with the marks in "
-        "them, so that they do not look like holes, but not above the mean of the image; dark "
-        "marks in bright areas, and black without marks, stay; 0: as in the style", ge=0, le=0.9)
     weights: Weights = setting(
         [], "one weight for each style image; only their ratios matter; empty: equal weights",
         request="styleWeights", control="style_weights")
@@ -222,6 +218,10 @@ class ColourConfig(Section):
     occlusion: float = setting(
         0.8, "amount of ambient occlusion in the emission: smoke in the grooves between lumps is "
         "darker, and lumps are brighter on top; 0: none", ge=0, le=1)
+    lift: float = setting(
+        0.45, "brightest channel that dark areas of the emission are lifted to, with the marks in "
+        "them, so that they do not look like holes, but not above two thirds of the style's mean; "
+        "dark marks in bright areas stay; 0: none", ge=0, le=0.9)
     learning_rate: float = setting(0.06, "Adam's step for display-encoded colour in [0, 1]", gt=0)
     iterations: Iterations = setting(
         [40, 40, 40], "iterations per octave, coarse to fine; 0 skips an octave",

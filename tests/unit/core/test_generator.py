@@ -296,10 +296,8 @@ def border_contrast(colours: torch.Tensor, smoke: ActiveSmoke, size: int) -> lis
 def check_seams(generator: Generator, shape: tuple[int, int, int], size: int) -> None:
     """There are no seams between blocks of this size; seams that are added are found."""
     smoke, seams = smoke_of(np.full(shape, 1.0, np.float32)), torch.tensor([0.03])
-    several = [generator.paint(smoke, SCENE.gamma_w, seed) for seed in range(4)]
-    contrasts = [border_contrast(colours, smoke, size) for colours in several]
-    assert max(map(np.mean, zip(*contrasts, strict=True))) < 1.1  # one alone is within 0.2 of 1
-    colours = several[0]
+    colours = generator.paint(smoke, SCENE.gamma_w, 0)
+    assert max(border_contrast(colours, smoke, size)) < 1.1
     checkered = torch.div(smoke.ijk, size, rounding_mode="floor").sum(1, keepdim=True) % 2
     assert min(border_contrast(colours + seams * checkered, smoke, size)) > 1.1
 

@@ -11,7 +11,7 @@ from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.smoke.tasks import computing_threads
-from usdsmoke.core.views.occlusion import find_relief, shaded
+from usdsmoke.core.views.occlusion import find_relief, join_smoke, shaded
 from usdsmoke.core.views.scene import Scene
 
 N = 24  # voxels along a side of the block
@@ -29,7 +29,9 @@ def relief_of(density: np.ndarray, scene: Scene = SCENE) -> np.ndarray:
     """Of each voxel, in the shape of the block; 1 where there is no smoke."""
     smoke = smoke_of(density)
     found = np.ones(density.shape)
-    found[tuple(smoke.ijk.T.numpy())] = find_relief(smoke, smoke.positions, scene).numpy()
+    found[tuple(smoke.ijk.T.numpy())] = find_relief(
+        join_smoke(smoke, scene), smoke.positions
+    ).numpy()
     return found
 
 
@@ -83,7 +85,7 @@ def test_few_voxels_and_dense_ones_have_a_finite_relief(n_voxels: int) -> None:
     density = np.zeros((3, 3, 3), np.float32)
     density[0, 0, :n_voxels] = 1e30
     smoke = smoke_of(density)
-    found = find_relief(smoke, smoke.positions, SCENE)
+    found = find_relief(join_smoke(smoke, SCENE), smoke.positions)
     assert bool((found >= 0).all()) and bool(torch.isfinite(found).all())
 
 
@@ -124,7 +126,8 @@ def test_a_run_darkens_what_it_would_write_without_occlusion(target: str) -> Non
     assert np.array_equal(plain.density.values, found.density.values)
     assert by_voxel(after).keys() == by_voxel(before).keys()
     smoke = smoke_of(plain.density.values)
-    relief = find_relief(smoke, smoke.positions, scene_of([frame_of(puff(16))], quick_config()))
+    joined = join_smoke(smoke, scene_of([frame_of(puff(16))], quick_config()))
+    relief = find_relief(joined, smoke.positions)
     at = tuple(smoke.ijk.T.numpy())
     bright = before.values[at][:, 1] > 1e-3
     ratio = (after.values[at][:, 1] / before.values[at][:, 1].clip(1e-9))[bright]
@@ -142,7 +145,7 @@ def test_albedos_and_flat_smoke_are_left_alone() -> None:
 def run_with(amount, target, density=None):
     config = quick_config(
         optics={"sun": [0, 1, 0]} if target != "emission" else {},
-        colour={"occlusion": amount, "target": target, "iterations": [2, 2]},
+        colour={"occlusion": amount, "lift": 0.0, "target": target, "iterations": [2, 2]},
         optimize={"steps": ["colour"], "threads": 1, "tolerance": 0.0, "error_budget": False},
     )
     (found,) = run_core([frame_of(puff(16) if density is None else density)], config)

@@ -267,7 +267,7 @@ def run_targets(config: Config, styles: list[np.ndarray]) -> StyleTargets:
 @pytest.mark.parametrize("shares", [[1.0], [3.0, 1.0]])
 def test_background_and_brightness_are_the_styles_means_by_their_shares(shares):
     styles = [random_style(16, 20, seed) ** (1 + seed) for seed in range(len(shares))]
-    targets = run_targets(resolve_config({"style": {"weights": shares, "lift": 0}}), styles)
+    targets = run_targets(resolve_config({"style": {"weights": shares}}), styles)
     parts = [share / sum(shares) for share in shares]
     linear = [decode_srgb(torch.from_numpy(style)).mean(dim=(0, 1)) for style in styles]
     wanted = sum(part * mean for part, mean in zip(parts, linear, strict=True))

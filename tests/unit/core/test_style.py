@@ -52,67 +52,16 @@ def test_size_enlarges_the_structures():
     assert scale_style(random_style(20, 20), 40, StyleConfig(size=2.0), LIKE).shape[0] == 80
 
 
-def test_colour_scales_the_distance_from_grey():
+def test_colour_scales_the_distance_from_grey_and_lift_raises_black():
     style = np.float32([[[0, 0, 0], [0.6, 0.4, 0.5]], [[1, 1, 1], [0.9, 0, 0]]])
-    kept = StyleConfig(lift=0.0)
-    assert np.array_equal(adjust_tones(style, kept), style)
-    grey = adjust_tones(style, StyleConfig(colour=0.0, lift=0.0))
+    assert np.array_equal(adjust_tones(style, StyleConfig()), style)
+    grey = adjust_tones(style, StyleConfig(colour=0.0))
     assert np.ptp(grey, axis=-1).max() < 1e-6
     assert np.allclose(luma(torch.tensor(grey)), luma(torch.tensor(style)), atol=1e-6)
-    more = adjust_tones(style, StyleConfig(colour=1.5, lift=0.0))
+    more = adjust_tones(style, StyleConfig(colour=1.5))
     assert np.ptp(more[0, 1]) == pytest.approx(0.3) and more.min() >= 0 and more.max() <= 1
-
-
-def lit(colour: float | list[float]) -> np.ndarray:
-    """An area of one colour, [30 60 3], left of a white one of the same size."""
-    return np.concatenate([np.full((30, 60, 3), colour), np.ones((30, 60, 3))], 1, dtype=np.float32)
-
-
-@pytest.mark.parametrize(
-    ("found", "lifted"), [(0.0, 0.0), (0.02, 0.0755), (0.15, 0.3), (0.3, 0.3), (0.7, 0.7), (1, 1)]
-)
-def test_an_even_area_is_lifted_to_the_level_or_to_four_times_its_brightness(found, lifted):
-    toned = adjust_tones(lit(found), StyleConfig(lift=0.3))
-    assert np.allclose(toned[:, :40], lifted, atol=1e-4)
-    assert np.allclose(toned[:, 60:], 1)
-
-
-def test_a_style_that_is_dark_as_a_whole_stays_dark():
-    dark = np.full((30, 60, 3), 0.1, np.float32)
-    assert np.allclose(adjust_tones(dark, StyleConfig(lift=0.3)), dark, atol=1e-6)
-    dark[:, 50:] = 0.4
-    toned = adjust_tones(dark, StyleConfig(lift=0.3))
-    assert np.allclose(toned[:, :40], 0.15, atol=1e-4)  # the mean of the image
-
-
-def test_lifting_keeps_hues_and_bright_colours_and_lowers_the_saturation_of_dark_ones():
-    red, brown = lit([0.4, 0.02, 0.02]), lit([0.1, 0.05, 0])
-    kept, lifted = (adjust_tones(style, StyleConfig(lift=0.3)) for style in (red, brown))
-    assert np.allclose(kept, red, atol=1e-6)  # its luma is 0.1, but it is no hole
-    highest, middle, lowest = lifted[10, 10]
-    assert highest == pytest.approx(0.3, abs=1e-4)
-    assert (highest - lowest) / highest == pytest.approx(3**-0.5, abs=1e-3)  # 1 before
-    assert (middle - lowest) / (highest - lowest) == pytest.approx(0.5, abs=1e-3)
-
-
-def test_lifting_shows_marks_of_dark_areas_and_leaves_dark_marks_in_bright_ones():
-    style = np.full((96, 192, 3), 0.06, np.float32)  # left half dark, right half bright
-    style[:, 96:] = 0.8
-    style[::4] *= 1.25  # marks
-    style[48, 120:160] = 0.05  # a dark mark in the bright half
-    toned = adjust_tones(style, StyleConfig(lift=0.3))
-    dark = np.s_[20:40, 20:70]
-    assert toned[dark].mean() == pytest.approx(4 * 0.064 / (1 + 3 * 0.064), abs=0.01)
-    assert np.ptp(toned[dark]) > 2 * np.ptp(style[dark])
-    assert np.allclose(toned[:, 120:160], style[:, 120:160], atol=1e-6)
-
-
-def test_an_area_is_as_large_a_part_of_the_image_whatever_its_resolution():
-    small = random_style(40, 60) * np.linspace(0.1, 1, 60, dtype=np.float32)[:, None]
-    large = small.repeat(6, 0).repeat(6, 1)
-    once, often = (adjust_tones(style, StyleConfig(lift=0.4)) for style in (small, large))
-    assert np.abs(often - once.repeat(6, 0).repeat(6, 1)).mean() < 0.01
-    assert np.abs(once - small).mean() > 0.05
+    lifted = adjust_tones(style, StyleConfig(lift=0.25))
+    assert np.allclose(lifted[0, 0], 0.25) and np.allclose(lifted[1, 0], 1.0)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 300), (300, 1), (3, 2)])

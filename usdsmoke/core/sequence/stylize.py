@@ -24,7 +24,8 @@ from usdsmoke.core.sequence.frame_state import PaintedFrame, WindowContext, make
 from usdsmoke.core.sequence.start import Carried, CoarseStart, on_device
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import decode_srgb
-from usdsmoke.core.views.occlusion import find_relief, shaded
+from usdsmoke.core.views.dark_areas import OF_STYLE, lift_dark_areas
+from usdsmoke.core.views.occlusion import find_relief, join_smoke, shaded
 from usdsmoke.core.views.scene import Scene
 
 FORWARD = np.array([0.0, 0.0, -1.0])  # any: smoke that scatters to all sides looks alike from all
@@ -112,7 +113,7 @@ def stylize_window(
 
 def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame:
     """What is written of a finished frame, with its errors in the report."""
-    frame = _occluded(frame)
+    frame = _finished(frame)
     # without an effect it is the source, in the source's voxels
     density = frame.density if frame.in_effect else frame.frame.density
     painted = tuple(_empty(density, name) for name in context.config.painted)
@@ -137,16 +138,22 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
     )  # fmt: skip
 
 
-def _occluded(frame: PaintedFrame) -> PaintedFrame:
-    """The frame with ambient occlusion in its colours; albedos and flat smoke stay as they are."""
-    amount, paint = frame.config.colour.occlusion, frame.paint
-    if amount == 0 or paint is None or not frame.in_effect or frame.smoke.thin_axis is not None:
+def _finished(frame: PaintedFrame) -> PaintedFrame:
+    """The frame with ambient occlusion and lifted dark areas in its colours.
+
+    Albedos, whose light is hidden itself, and flat smoke stay as they are.
+    """
+    config, paint = frame.config.colour, frame.paint
+    if config.target == "albedo" or (config.occlusion == 0 and config.lift == 0):
         return frame
-    if frame.config.colour.target == "albedo":  # whose light is hidden itself
+    if paint is None or not frame.in_effect or frame.smoke.thin_axis is not None:
         return frame
-    started, (painted, colours) = time.perf_counter(), paint
-    relief = find_relief(frame.whole_smoke(), painted.positions, frame.scene)
-    colours, report = shaded(colours, relief, amount), frame.report
+    started, (painted, colours), report = time.perf_counter(), paint, frame.report
+    joined = join_smoke(frame.whole_smoke(), frame.scene)
+    if config.occlusion:
+        colours = shaded(colours, find_relief(joined, painted.positions), config.occlusion)
+    if level := min(config.lift, OF_STYLE * frame.targets.value):
+        colours = lift_dark_areas(colours, painted, joined, level)
     if (step := report.colour) is not None:
         seconds = step.seconds + time.perf_counter() - started
         report = replace(report, colour=replace(step, seconds=seconds))

@@ -30,26 +30,21 @@ class StyleFeatures:
     """A style image and what is measured on it, once, whatever its share.
 
     Args:
-        toned: -> display-encoded [H W 3] in [0, 1]; called when something is first measured.
+        pixels: display-encoded [H W 3] in [0, 1].
         make_target: pixels, factor, grey -> what pictures 1/factor of full size are compared with.
         scaled: pixels -> those at the size of full pictures.
     """
 
     def __init__(
         self,
-        toned: Callable[[], np.ndarray],
+        pixels: np.ndarray,
         make_target: Callable[[np.ndarray, int, bool], StyleTarget],
         scaled: Callable[[np.ndarray], Tensor],
     ) -> None:
-        self._toned, self._scaled = cache(toned), scaled
+        self._pixels = torch.as_tensor(np.ascontiguousarray(pixels))
+        self._scaled = partial(scaled, pixels)
         #: factor, grey -> what pictures 1/factor of full size are compared with
-        self.target: Callable[[int, bool], StyleTarget] = cache(
-            lambda factor, grey: make_target(self._toned(), factor, grey)
-        )
-
-    @cached_property
-    def _pixels(self) -> Tensor:
-        return torch.as_tensor(np.ascontiguousarray(self._toned()))
+        self.target: Callable[[int, bool], StyleTarget] = cache(partial(make_target, pixels))
 
     @cached_property
     def mean(self) -> Tensor:
@@ -73,6 +68,11 @@ class StyleFeatures:
         return float(light.mean()), float(light.std(correction=0))
 
     @cached_property
+    def value(self) -> float:
+        """Mean of the brightest channel, display-encoded."""
+        return float(self._pixels.amax(-1).mean(dtype=torch.float64))
+
+    @cached_property
     def colours(self) -> tuple[Tensor, float]:
         """Mean [3] and deviation (of all channels together) of the colours, display-encoded."""
         return _mean_and_deviation(self._pixels)
@@ -81,7 +81,7 @@ class StyleFeatures:
     def shown(self) -> float:
         """The share of the colours' deviation that is left at the size of full pictures."""
         spread = self.colours[1]
-        return _mean_and_deviation(self._scaled(self._toned()))[1] / spread if spread > 0 else 1.0
+        return _mean_and_deviation(self._scaled())[1] / spread if spread > 0 else 1.0
 
 
 def _mean_and_deviation(pixels: Tensor) -> tuple[Tensor, float]:
@@ -123,6 +123,11 @@ class StyleTargets:
     def white(self) -> float:
         """The brightest style's ``StyleFeatures.white``."""
         return max(image.white for _, image in self._used)
+
+    @property
+    def value(self) -> float:
+        """The mean of the styles' brightest channel, display-encoded."""
+        return sum(share * image.value for share, image in self._used)
 
     @property
     def brightness(self) -> tuple[float, float]:
@@ -226,8 +231,9 @@ def make_targets(
             network = network_for()
         return StyleTarget(style, network(style), layers, config.losses, content, nearest, seed)
 
-    tone = partial(adjust_tones, config=config.style)
-    images = tuple(StyleFeatures(partial(tone, pixels), make_target, scaled) for pixels in styles)
+    images = tuple(
+        StyleFeatures(adjust_tones(pixels, config.style), make_target, scaled) for pixels in styles
+    )
     shares = tuple(style_shares(config.style, len(images)))
     return StyleTargets(images, shares, config.losses, device)
 

@@ -8,6 +8,7 @@
 - ``project``: voxels splatted on pixels, a sparse linear map
 - ``lighting``: the stage's light, scattered by the smoke; ``bounces``: more than once
 - ``occlusion``: how dark smoke is in the grooves between lumps
+- ``dark_areas``: large dark areas, lifted with the marks in them
 - ``shadows``: how much of a distant light arrives at a point
 - ``column_depths``: columns of smoke along pixels: what the thick ones have, and what keeps it
 - ``scene``: what all frames share: extinction, exposure, pixel size

@@ -7,6 +7,7 @@ and undersides keep their colours.
 """
 
 import math
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -39,14 +40,20 @@ def shaded(colours: Tensor, relief: Tensor, amount: float) -> Tensor:
     return torch.minimum(colours * factor, colours.clamp_min(1.0))
 
 
-def find_relief(smoke: ActiveSmoke, positions: Tensor, scene: Scene) -> Tensor:
-    """How much of the sky points see, over what visible smoke around them sees, [P] in [0, MOST].
+@dataclass(frozen=True)
+class JoinedSmoke:
+    """Smoke in voxels that are large enough to tell its lumps from its marks."""
 
-    About 1 on even smoke, more on top of lumps, less in grooves, and near 0 deep inside.
+    smoke: ActiveSmoke  # N voxels
+    sky: Tensor  # [N] float64, the share of the sky above that a voxel sees
+    visible: Tensor  # [N] float64, its light in the picture that shows it best
+
+
+def join_smoke(smoke: ActiveSmoke, scene: Scene) -> JoinedSmoke:
+    """Join voxels, and look at them from all sides.
 
     Args:
         smoke: all that hides the sky, one voxel or more.
-        positions: [P 3] float64, stage space, in the smoke.
         scene: its extinction, its size and its up axis.
 
     Gradients: none; density is fixed where smoke is painted.
@@ -57,11 +64,21 @@ def find_relief(smoke: ActiveSmoke, positions: Tensor, scene: Scene) -> Tensor:
         smoke = coarsen(smoke)
     while len(smoke.ijk) > MOST_VOXELS:
         smoke = coarsen(smoke)
-    sky, visible = _seen(smoke, scene)
-    around = Surroundings(smoke, visible).mean(sky[:, None], 1.0, AROUND)
-    relief = sky[:, None] / around.clamp_min(torch.finfo(sky.dtype).tiny)
-    relief = relief.clamp_max(MOST).to(smoke.density)
-    return sample_colours(smoke, relief, positions)[0][:, 0]
+    return JoinedSmoke(smoke, *_seen(smoke, scene))
+
+
+def find_relief(joined: JoinedSmoke, positions: Tensor) -> Tensor:
+    """How much of the sky points see, over what visible smoke around them sees, [P] in [0, MOST].
+
+    About 1 on even smoke, more on top of lumps, less in grooves, and near 0 deep inside.
+
+    Args:
+        positions: [P 3] float64, stage space, in the smoke.
+    """
+    smoke, sky = joined.smoke, joined.sky[:, None]
+    around = Surroundings(smoke, joined.visible).mean(sky, 1.0, AROUND)
+    relief = (sky / around.clamp_min(torch.finfo(sky.dtype).tiny)).clamp_max(MOST)
+    return sample_colours(smoke, relief.to(smoke.density), positions)[0][:, 0]
 
 
 def _seen(smoke: ActiveSmoke, scene: Scene) -> tuple[Tensor, Tensor]:
