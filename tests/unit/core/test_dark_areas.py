@@ -6,9 +6,11 @@ import torch
 
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import quick_config, run_core
+from usdsmoke.config.settings import Config
 from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.tasks import computing_threads
+from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.views.dark_areas import lift_dark_areas
 from usdsmoke.core.views.occlusion import join_smoke
 from usdsmoke.core.views.scene import Scene
@@ -16,16 +18,21 @@ from usdsmoke.core.views.scene import Scene
 N = 32  # voxels along a side of the block
 SCENE = Scene(2.0, 1.0, 1.0, "Y", 1.0, N)  # pictures see half a voxel deep; nothing is joined
 BLOCK = smoke_of(np.ones((N, N, N), np.float32))
+WHITE = torch.ones(3)
 
 
 def lifted(
-    colours: np.ndarray, level: float = 0.3, painted: ActiveSmoke = BLOCK, scene: Scene = SCENE
+    colours: np.ndarray,
+    level: float = 0.3,
+    painted: ActiveSmoke = BLOCK,
+    scene: Scene = SCENE,
+    hue: torch.Tensor = WHITE,
 ) -> np.ndarray:
     """Of a block of colours [I J K 3]."""
     at = tuple(painted.ijk.T.numpy())
     given = torch.as_tensor(colours[at], dtype=torch.float32)
     found = colours.astype(np.float32).copy()
-    found[at] = lift_dark_areas(given, painted, join_smoke(BLOCK, scene), level).numpy()
+    found[at] = lift_dark_areas(given, painted, join_smoke(BLOCK, scene), level, hue).numpy()
     return found
 
 
@@ -61,12 +68,27 @@ def test_marks_in_a_dark_area_are_seen() -> None:
     assert np.ptp(found[front]) > 3 * np.ptp(colours[front])
 
 
-def test_a_dark_area_takes_the_hue_of_the_bright_smoke_around() -> None:
-    colours = even([0.9, 0.45, 0.0])
-    colours[:, : N // 2] = [0.02, 0.02, 0.06]
-    added = lifted(colours)[16, 4, N - 1] - colours[16, 4, N - 1]
-    assert added[0] > 0.1
-    assert added[1] / added[0] == pytest.approx(0.5, abs=0.1) and added[2] < 0.2 * added[0]
+def test_what_is_added_has_the_hue_that_the_style_has_at_the_level() -> None:
+    dark = even([0.02, 0.02, 0.06])
+    added = lifted(dark, hue=torch.tensor([1.0, 0.5, 0.0])) - dark
+    assert added[..., 0] == pytest.approx(0.3 / 1.24 - 0.06, abs=1e-4)  # five times as bright
+    assert (
+        added[..., 1] == pytest.approx(0.5 * added[..., 0], abs=1e-6)
+        and abs(added[..., 2]).max() < 1e-6
+    )
+
+
+def test_the_hue_is_that_of_pixels_as_bright_as_the_level() -> None:
+    """By the shares of the styles."""
+    style = np.array([[[0.9, 0.9, 0.9], [0.3, 0.15, 0.0], [0.0, 0.0, 0.02]]], np.float32)
+    other = np.full((1, 1, 3), [0.0, 0.15, 0.3], np.float32)
+    scene, config = Scene(0.6, 0.3, 1.0, "Y", 1.0, 24), Config()
+    for styles, expected in (([style], [1, 0.5, 0]), ([style, other], [1, 1, 1])):
+        targets = make_targets(styles, scene, config, torch.device("cpu"))
+        assert targets.hue_at(0.3).tolist() == pytest.approx(expected, abs=0.02)
+    assert make_targets([style], scene, config, torch.device("cpu")).value == pytest.approx(
+        1.22 / 3
+    )
 
 
 def test_what_no_picture_shows_does_not_count() -> None:

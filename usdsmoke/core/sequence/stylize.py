@@ -153,7 +153,7 @@ def _finished(frame: PaintedFrame) -> PaintedFrame:
     if config.occlusion:
         colours = shaded(colours, find_relief(joined, painted.positions), config.occlusion)
     if level := min(config.lift, OF_STYLE * frame.targets.value):
-        colours = lift_dark_areas(colours, painted, joined, level)
+        colours = lift_dark_areas(colours, painted, joined, level, frame.targets.hue_at(level))
     if (step := report.colour) is not None:
         seconds = step.seconds + time.perf_counter() - started
         report = replace(report, colour=replace(step, seconds=seconds))

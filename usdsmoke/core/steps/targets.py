@@ -25,6 +25,8 @@ from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
 
+_NEAR = 0.08  # standard deviation of a brightest channel that counts as near a value
+
 
 class StyleFeatures:
     """A style image and what is measured on it, once, whatever its share.
@@ -71,6 +73,12 @@ class StyleFeatures:
     def value(self) -> float:
         """Mean of the brightest channel, display-encoded."""
         return float(self._pixels.amax(-1).mean(dtype=torch.float64))
+
+    def mean_at(self, value: float) -> Tensor:
+        """Mean colour [3] of pixels whose brightest channel is near a value, display-encoded."""
+        pixels = self._pixels.reshape(-1, 3).double()
+        near = (-0.5 * ((pixels.amax(1) - value) / _NEAR).square()).exp()
+        return near @ pixels / near.sum().clamp_min(torch.finfo(near.dtype).tiny)
 
     @cached_property
     def colours(self) -> tuple[Tensor, float]:
@@ -128,6 +136,13 @@ class StyleTargets:
     def value(self) -> float:
         """The mean of the styles' brightest channel, display-encoded."""
         return sum(share * image.value for share, image in self._used)
+
+    def hue_at(self, value: float) -> Tensor:
+        """The styles' mean colour where their brightest channel is near a value, as bright as can
+        be, display-encoded [3]."""
+        mean = sum((share * image.mean_at(value) for share, image in self._used), torch.zeros(3))
+        hue = mean / mean.max().clamp_min(torch.finfo(mean.dtype).tiny)
+        return hue.to(self.device, torch.float32)
 
     @property
     def brightness(self) -> tuple[float, float]:

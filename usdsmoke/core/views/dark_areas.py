@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.core.smoke.active import ActiveSmoke, coarsen, flat_key, sample_colours
+from usdsmoke.core.smoke.active import ActiveSmoke, flat_key, sample_colours
 from usdsmoke.core.smoke.memory import sums_of
 from usdsmoke.core.smoke.spread import Surroundings
-from usdsmoke.core.views.occlusion import AROUND, JoinedSmoke
+from usdsmoke.core.views.occlusion import JoinedSmoke
 
 STEEPEST = 5.0  # times as bright: more would show noise
 OF_STYLE = 2 / 3  # of the mean value of a style, which the level is no brighter than
@@ -20,57 +20,38 @@ AREA = 3  # means over three voxels along each axis, a Gaussian of 1.4 joined vo
 
 
 def lift_dark_areas(
-    colours: Tensor, painted: ActiveSmoke, joined: JoinedSmoke, level: float
+    colours: Tensor, painted: ActiveSmoke, joined: JoinedSmoke, level: float, hue: Tensor
 ) -> Tensor:
     """Colours [N 3], brighter where the smoke around is darker than a level.
-
-    What is added has the hue of the smoke far around: the hues of colours near black are noise.
 
     Args:
         colours: display-encoded [N 3], at least 0.
         painted: the smoke that has them.
         joined: the painted smoke and what else hides it.
         level: value, display-encoded, in [0, 1).
+        hue: [3], of what is added, whose brightest channel is 1: those of colours near black are
+            noise.
     """
     smoke, value = joined.smoke, colours.amax(1).clamp(0, 1)
-    values = torch.cat([colours.clamp(0, 1), value[:, None]], 1)
-    rows, mass = _row_of(painted, smoke), painted.density.double()
-    mass, means = _means(rows, mass, values, len(smoke.ijk))
+    mass, mean = _joined_means(value, painted, smoke)
     seen = torch.where(mass > 0, joined.visible, 0.0)
-    around = _at(painted, smoke, Surroundings(smoke, seen).mean(means[:, 3:], 1.0, AREA))
+    around = Surroundings(smoke, seen).mean(mean[:, None], 1.0, AREA).to(colours)
+    around = sample_colours(smoke, around, painted.positions)[0][:, 0]
     slope = level * (1 - around) / (around * (1 - level)).clamp_min(1e-6)
-    slope = slope.clamp(1, STEEPEST)[:, 0]
+    slope = slope.clamp(1, STEEPEST)
     added = slope * value / (1 + (slope - 1) * value) - value
-    return colours + added[:, None] * _at(painted, *_hues(smoke, means, seen))
+    return colours + added[:, None] * hue
 
 
-def _hues(smoke: ActiveSmoke, means: Tensor, seen: Tensor) -> tuple[ActiveSmoke, Tensor]:
-    """Smoke in voxels four times as wide, and the colour of what is bright around them, [M 3],
-    whose brightest channel is 1."""
-    wide = coarsen(coarsen(smoke))
-    weight = seen * means[:, 3]
-    rows = _row_of(smoke, wide)
-    total, mean = _means(rows, weight, means[:, :3], len(wide.ijk))
-    mean = Surroundings(wide, total).mean(mean, 1.0, AROUND)
-    return wide, mean / mean.amax(1, keepdim=True).clamp_min(torch.finfo(mean.dtype).tiny)
-
-
-def _means(rows: Tensor, weight: Tensor, values: Tensor, n: int) -> tuple[Tensor, Tensor]:
-    """The weights [N] that have the same row, added, [n], and the means of their values, [n C]."""
-    total = sums_of(rows, weight, n)
-    sums = torch.stack([sums_of(rows, weight * column, n) for column in values.T], 1)
-    return total, sums / total.clamp_min(torch.finfo(total.dtype).tiny)[:, None]
-
-
-def _row_of(smoke: ActiveSmoke, coarse: ActiveSmoke) -> Tensor:
-    """The row of the coarser voxel that holds each voxel, [N]."""
-    matrix = torch.as_tensor(np.linalg.inv(coarse.index_to_stage), device=smoke.ijk.device)
-    index = smoke.positions @ matrix[:3, :3] + matrix[3, :3]
-    first = coarse.ijk.amin(0)
-    shape = coarse.ijk.amax(0) - first + 1
-    known = flat_key(coarse.ijk, first, shape)  # ascending, as ``coarsen`` leaves them
-    return torch.searchsorted(known, flat_key(index.round().to(first), first, shape))
-
-
-def _at(painted: ActiveSmoke, smoke: ActiveSmoke, values: Tensor) -> Tensor:
-    return sample_colours(smoke, values.to(painted.density), painted.positions)[0]
+def _joined_means(value: Tensor, painted: ActiveSmoke, smoke: ActiveSmoke) -> tuple[Tensor, Tensor]:
+    """The painted mass in each joined voxel, and the mean by mass of values [N], [J] each."""
+    # the row of the joined voxel that holds each painted one
+    to_index = torch.as_tensor(np.linalg.inv(smoke.index_to_stage), device=smoke.ijk.device)
+    ijk = (painted.positions @ to_index[:3, :3] + to_index[3, :3]).round().to(smoke.ijk)
+    first = smoke.ijk.amin(0)
+    shape = smoke.ijk.amax(0) - first + 1
+    known = flat_key(smoke.ijk, first, shape)  # ascending, as ``activate`` and ``coarsen`` order
+    rows = torch.searchsorted(known, flat_key(ijk, first, shape))
+    mass, n = painted.density.double(), len(smoke.ijk)
+    total = sums_of(rows, mass, n)
+    return total, sums_of(rows, mass * value, n) / total.clamp_min(torch.finfo(total.dtype).tiny)
