@@ -33,25 +33,34 @@ def lift_dark_areas(
             noise.
     """
     smoke, value = joined.smoke, colours.amax(1).clamp(0, 1)
-    mass, mean = _joined_means(value, painted, smoke)
+    rows = _joined_rows(painted, smoke)
+    mass, mean = _joined_means(value, painted, rows, len(smoke.ijk))
     seen = torch.where(mass > 0, joined.visible, 0.0)
-    around = Surroundings(smoke, seen).mean(mean[:, None], 1.0, AREA).to(colours)
-    around = sample_colours(smoke, around, painted.positions)[0][:, 0]
+    around = Surroundings(smoke, seen).mean(mean[:, None], 1.0, AREA)
+    # Voxels whose mean, which lies between those of joined voxels, may be below the level.
+    beside = Surroundings(smoke, torch.ones_like(mass)).mean((around < level).double(), 1.0, 1)
+    dark = (beside[:, 0] > 0)[rows].nonzero()[:, 0]
+    around = sample_colours(smoke, around.to(colours), painted.positions[dark])[0][:, 0]
     slope = level * (1 - around) / (around * (1 - level)).clamp_min(1e-6)
-    slope = slope.clamp(1, STEEPEST)
+    slope, value = slope.clamp(1, STEEPEST), value[dark]
     added = slope * value / (1 + (slope - 1) * value) - value
-    return colours + added[:, None] * hue
+    return colours.index_add(0, dark, added[:, None] * hue)
 
 
-def _joined_means(value: Tensor, painted: ActiveSmoke, smoke: ActiveSmoke) -> tuple[Tensor, Tensor]:
-    """The painted mass in each joined voxel, and the mean by mass of values [N], [J] each."""
-    # the row of the joined voxel that holds each painted one
+def _joined_rows(painted: ActiveSmoke, smoke: ActiveSmoke) -> Tensor:
+    """The row of the joined voxel that holds each painted one, [N]."""
     to_index = torch.as_tensor(np.linalg.inv(smoke.index_to_stage), device=smoke.ijk.device)
     ijk = (painted.positions @ to_index[:3, :3] + to_index[3, :3]).round().to(smoke.ijk)
     first = smoke.ijk.amin(0)
     shape = smoke.ijk.amax(0) - first + 1
     known = flat_key(smoke.ijk, first, shape)  # ascending, as ``activate`` and ``coarsen`` order
-    rows = torch.searchsorted(known, flat_key(ijk, first, shape))
-    mass, n = painted.density.double(), len(smoke.ijk)
+    return torch.searchsorted(known, flat_key(ijk, first, shape))
+
+
+def _joined_means(
+    value: Tensor, painted: ActiveSmoke, rows: Tensor, n: int
+) -> tuple[Tensor, Tensor]:
+    """The painted mass in each joined voxel, and the mean by mass of values [N], [n] each."""
+    mass = painted.density.double()
     total = sums_of(rows, mass, n)
     return total, sums_of(rows, mass * value, n) / total.clamp_min(torch.finfo(total.dtype).tiny)
