@@ -80,8 +80,9 @@ def test_what_is_added_has_the_hue_that_the_style_has_at_the_level() -> None:
 
 def test_the_hue_is_that_of_pixels_as_bright_as_the_level() -> None:
     """By the shares of the styles."""
-    style = np.array([[[0.9, 0.9, 0.9], [0.3, 0.15, 0.0], [0.0, 0.0, 0.02]]], np.float32)
-    other = np.full((1, 1, 3), [0.0, 0.15, 0.3], np.float32)
+    bands = np.array([[[0.9, 0.9, 0.9], [0.3, 0.15, 0.0], [0.0, 0.0, 0.02]]], np.float32)
+    style = bands.repeat(8, 1).repeat(24, 0)
+    other = np.full((24, 24, 3), [0.0, 0.15, 0.3], np.float32)
     scene, config = Scene(0.6, 0.3, 1.0, "Y", 1.0, 24), Config()
     for styles, expected in (([style], [1, 0.5, 0]), ([style, other], [1, 1, 1])):
         targets = make_targets(styles, scene, config, torch.device("cpu"))

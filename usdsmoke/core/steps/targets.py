@@ -75,8 +75,9 @@ class StyleFeatures:
         return float(self._pixels.amax(-1).mean(dtype=torch.float64))
 
     def mean_at(self, value: float) -> Tensor:
-        """Mean colour [3] of pixels whose brightest channel is near a value, display-encoded."""
-        pixels = self._pixels.reshape(-1, 3).double()
+        """Mean colour [3] of pixels whose brightest channel is near a value, display-encoded, at
+        the size of full pictures."""
+        pixels = self._scaled().reshape(-1, 3).double().cpu()
         near = (-0.5 * ((pixels.amax(1) - value) / _NEAR).square()).exp()
         return near @ pixels / near.sum().clamp_min(torch.finfo(near.dtype).tiny)
 
