@@ -220,8 +220,8 @@ class ColourConfig(Section):
         "darker, and lumps are brighter on top; 0: none", ge=0, le=1)
     lift: float = setting(
         0.45, "brightest channel that dark areas of the emission are lifted to, with the marks in "
-        "them, so that they do not look like holes, but not above two thirds of the style's mean; "
-        "dark marks in bright areas stay; 0: none", ge=0, le=0.9)
+        "them, so that they do not look like holes, but not above nine tenths of the style's "
+        "median; dark marks in bright areas stay; 0: none", ge=0, le=0.9)
     learning_rate: float = setting(0.06, "Adam's step for display-encoded colour in [0, 1]", gt=0)
     iterations: Iterations = setting(
         [40, 40, 40], "iterations per octave, coarse to fine; 0 skips an octave",

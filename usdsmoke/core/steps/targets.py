@@ -71,8 +71,8 @@ class StyleFeatures:
 
     @cached_property
     def value(self) -> float:
-        """Mean of the brightest channel, display-encoded."""
-        return float(self._pixels.amax(-1).mean(dtype=torch.float64))
+        """Median of the brightest channel, display-encoded."""
+        return float(self._pixels.amax(-1).median())
 
     def mean_at(self, value: float) -> Tensor:
         """Mean colour [3] of pixels whose brightest channel is near a value, display-encoded, at
@@ -135,7 +135,7 @@ class StyleTargets:
 
     @property
     def value(self) -> float:
-        """The mean of the styles' brightest channel, display-encoded."""
+        """The styles' medians of the brightest channel, by their shares, display-encoded."""
         return sum(share * image.value for share, image in self._used)
 
     def hue_at(self, value: float) -> Tensor:
