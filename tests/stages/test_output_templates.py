@@ -199,7 +199,11 @@ def test_a_picture_in_the_place_of_a_sheet_stays_unless_a_run_has_put_it_there(s
     sheet.write_text("mine")
     with pytest.raises(LayerError):
         run(shot, "layer.contact_sheet=64", force=True)
-    assert sheet.read_text() == "mine"
     run(shot, "layer.contact_sheet=0")
+    with pytest.raises(LayerError):
+        run(shot, "layer.contact_sheet=64", force=True)
+    assert sheet.read_text() == "mine"
+    sheet.unlink()
+    run(shot, "layer.contact_sheet=64", force=True)
     run(shot, "layer.contact_sheet=64", force=True)
     assert sheet.read_bytes().startswith(b"\x89PNG")

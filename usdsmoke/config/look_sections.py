@@ -219,8 +219,8 @@ class ColourConfig(Section):
         0.8, "amount of ambient occlusion in the emission: smoke in the grooves between lumps is "
         "darker, and lumps are brighter on top; 0: none", ge=0, le=1)
     lift: float = setting(
-        0.45, "brightest channel that dark areas of the emission are lifted to, with the marks in "
-        "them, so that they do not look like holes, but not above nine tenths of the style's "
+        0.45, "brightest channel that dark areas are lifted towards, with the marks in them, so "
+        "that they do not look like holes, but not above nine tenths of the style's "
         "median; dark marks in bright areas stay; 0: none", ge=0, le=0.9)
     learning_rate: float = setting(0.06, "Adam's step for display-encoded colour in [0, 1]", gt=0)
     iterations: Iterations = setting(

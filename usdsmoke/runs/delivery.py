@@ -5,10 +5,10 @@ they are looked for when frames are done again. A path that stays the same from 
 next is replaced when the later result is assembled.
 """
 
+import os
 from pathlib import Path, PurePosixPath
 
 from usdsmoke.base.errors import LayerError, UsdSmokeError
-from usdsmoke.base.naming import find_run_files
 from usdsmoke.base.publish import share_file
 from usdsmoke.planning.job import Job
 from usdsmoke.planning.make_plan import result_file_names
@@ -50,10 +50,15 @@ def check_targets(job: Job) -> None:
     """
     check_delivery(job.plan, job.output)
     check_root_file(job.targets, job.config.layer.mode, Path(job.plan.source.file_path))
-    if published_runs(job.targets.look_layer) or find_run_files(job.output):
-        return  # a sheet that is there is theirs
+    runs = list(find_runs(job.output))
+    if not runs and published_runs(job.targets.look_layer):
+        return  # whose record is lost
+    # An unfinished run may have written a sheet, and has not told yet.
+    known = {name for run in runs for name in run.files}
+    unfinished = any(not run.complete for run in runs)
     for sheet in job.sheets:
-        if sheet.exists():
+        is_known = unfinished or os.path.relpath(sheet, job.output) in known
+        if sheet.exists() and not is_known:
             raise LayerError(
                 f"{sheet} does not belong to a result in {job.output}, and would be overwritten. "
                 "Move it away, or set layer.contact_sheet=0."

@@ -84,9 +84,17 @@ def test_the_hue_is_that_of_pixels_as_bright_as_the_level() -> None:
     style = bands.repeat(8, 1).repeat(24, 0)
     other = np.full((24, 24, 3), [0.0, 0.15, 0.3], np.float32)
     scene, config = Scene(0.6, 0.3, 1.0, "Y", 1.0, 24), Config()
-    for styles, expected in (([style], [1, 0.5, 0]), ([style, other], [1, 1, 1])):
+    white = np.ones((24, 24, 3), np.float32)  # of which no pixel is near the level
+    dark = np.where(np.arange(24)[:, None] < 8, np.float32([0.02, 0, 0.03]), np.float32(1))
+    dark = np.broadcast_to(dark, (24, 24, 3))
+    for styles, expected in (
+        ([style], [1, 0.5, 0]),
+        ([style, other], [1 / 3, 2 / 3, 1]),
+        ([style, white], [1, 0.5, 0]),
+        ([dark], [1, 1, 1]),
+    ):
         targets = make_targets(styles, scene, config, torch.device("cpu"))
-        assert targets.hue_at(0.3).tolist() == pytest.approx(expected, abs=0.02)
+        assert targets.hue_at(0.3).tolist() == pytest.approx(expected, abs=0.08)
     assert make_targets([style], scene, config, torch.device("cpu")).value == pytest.approx(0.3)
 
 

@@ -61,6 +61,22 @@ def test_light_on_smoke_that_scatters_none_changes_no_bit() -> None:
     assert (painted(frame, 0.9) == painted(frame, 0.0)).all()
 
 
+def test_smoke_that_its_light_makes_bright_is_no_dark_area() -> None:
+    """However little emission is left for it."""
+    frame = in_light(0.0)
+    frame = replace(frame, lights=(LightSource("/sky", (30.0, 30.0, 30.0)),))
+    before, after = (lifted(frame, lift) for lift in (0.0, 0.9))
+    assert 0 < before.max() < 0.02  # a dark colour
+    assert after == pytest.approx(before, abs=1e-5)
+
+
+def lifted(frame: VolumeFrame, lift: float) -> np.ndarray:
+    colour = {**COLOUR["colour"], "occlusion": 0.0, "lift": lift}
+    config = quick_config(**{**COLOUR, "colour": colour})
+    (result,) = run_core([frame], config, styles=[STYLE], scene=scene_of([frame], config))
+    return result.emission.values
+
+
 def test_smoke_in_light_scatters_a_tenth_of_it_by_default() -> None:
     assert (painted(in_light(9.0), 0.1) == stylized(in_light(9.0)).emission.values).all()
 

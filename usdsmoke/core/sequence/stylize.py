@@ -23,7 +23,7 @@ from usdsmoke.core.sequence.frame_loop import run_frames
 from usdsmoke.core.sequence.frame_state import PaintedFrame, WindowContext, make_context
 from usdsmoke.core.sequence.start import Carried, CoarseStart, on_device
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
-from usdsmoke.core.smoke.srgb import decode_srgb
+from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
 from usdsmoke.core.views.dark_areas import OF_STYLE, lift_dark_areas
 from usdsmoke.core.views.occlusion import find_relief, join_smoke, shaded
 from usdsmoke.core.views.scene import Scene
@@ -153,7 +153,14 @@ def _finished(frame: PaintedFrame) -> PaintedFrame:
     if config.occlusion:
         colours = shaded(colours, find_relief(joined, painted.positions), config.occlusion)
     if level := min(config.lift, OF_STYLE * frame.targets.value):
-        colours = lift_dark_areas(colours, painted, joined, level, frame.targets.hue_at(level))
+        hue = frame.targets.hue_at(level)
+        light = None if config.target == "both" else _scattered(frame)
+        if light is None:
+            colours = lift_dark_areas(colours, painted, joined, level, hue)
+        else:  # the area is as bright as both kinds of light together
+            total = encode_srgb(decode_srgb(colours) + light)
+            total = lift_dark_areas(total, painted, joined, level, hue)
+            colours = torch.maximum(encode_srgb(decode_srgb(total) - light), colours)
     if (step := report.colour) is not None:
         seconds = step.seconds + time.perf_counter() - started
         report = replace(report, colour=replace(step, seconds=seconds))
@@ -171,13 +178,19 @@ def _per_extinction(frame: PaintedFrame, name: str) -> Tensor:
     given = torch.zeros_like(linear)
     if config.colour.target == "albedo":
         return config.albedo * linear
-    if config.colour.target == "both" and (lighting := frame.all_light()) is not None:
-        light = lighting.on(frame.painted.positions).scattered(FORWARD)
+    if config.colour.target == "both" and (light := _scattered(frame)) is not None:
         given = torch.minimum(linear, light)
         if name == SCATTERING:
             tiny = torch.finfo(light.dtype).tiny
             return config.albedo * given / light.clamp_min(tiny)
     return (linear - given) * 2.0**-frame.scene.stops if name == EMISSION else given
+
+
+def _scattered(frame: PaintedFrame) -> Tensor | None:
+    """Linear light [N 3] that the painted voxels scatter; None where there is none."""
+    if frame.painted is None or (lighting := frame.all_light()) is None:
+        return None
+    return lighting.on(frame.painted.positions).scattered(FORWARD)
 
 
 def _empty(density: DenseField, name: str) -> DenseField:

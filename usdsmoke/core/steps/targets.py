@@ -26,6 +26,7 @@ from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
 
 _NEAR = 0.08  # standard deviation of a brightest channel that counts as near a value
+_FAR = 1e-3  # of the weight of a pixel there, which all have
 
 
 class StyleFeatures:
@@ -45,6 +46,8 @@ class StyleFeatures:
     ) -> None:
         self._pixels = torch.as_tensor(np.ascontiguousarray(pixels))
         self._scaled = partial(scaled, pixels)
+        #: value -> see ``_sum_at``
+        self.sum_at: Callable[[float], Tensor] = cache(self._sum_at)
         #: factor, grey -> what pictures 1/factor of full size are compared with
         self.target: Callable[[int, bool], StyleTarget] = cache(partial(make_target, pixels))
 
@@ -74,12 +77,13 @@ class StyleFeatures:
         """Median of the brightest channel, display-encoded."""
         return float(self._pixels.amax(-1).median())
 
-    def mean_at(self, value: float) -> Tensor:
-        """Mean colour [3] of pixels whose brightest channel is near a value, display-encoded, at
-        the size of full pictures."""
+    def _sum_at(self, value: float) -> Tensor:
+        """Sum [3] of the colours of pixels, display-encoded, over the number of pixels, at the size
+        of full pictures. They count by how near their brightest channel is to a value, and all
+        count a little, for styles that have none there."""
         pixels = self._scaled().reshape(-1, 3).double().cpu()
-        near = (-0.5 * ((pixels.amax(1) - value) / _NEAR).square()).exp()
-        return near @ pixels / near.sum().clamp_min(torch.finfo(near.dtype).tiny)
+        near = (-0.5 * ((pixels.amax(1) - value) / _NEAR).square()).exp() + _FAR
+        return near @ pixels / len(near)
 
     @cached_property
     def colours(self) -> tuple[Tensor, float]:
@@ -141,7 +145,7 @@ class StyleTargets:
     def hue_at(self, value: float) -> Tensor:
         """The styles' mean colour where their brightest channel is near a value, as bright as can
         be, display-encoded [3]."""
-        mean = sum((share * image.mean_at(value) for share, image in self._used), torch.zeros(3))
+        mean = sum((share * image.sum_at(value) for share, image in self._used), torch.zeros(3))
         hue = mean / mean.max().clamp_min(torch.finfo(mean.dtype).tiny)
         return hue.to(self.device, torch.float32)
 
