@@ -50,6 +50,11 @@ def check_targets(job: Job) -> None:
     """
     check_delivery(job.plan, job.output)
     check_root_file(job.targets, job.config.layer.mode, Path(job.plan.source.file_path))
+    _check_sheets(job)
+
+
+def _check_sheets(job: Job) -> None:
+    """Refuse to overwrite a picture that no run has put in the place of a contact sheet."""
     runs = list(find_runs(job.output))
     if not runs and published_runs(job.targets.look_layer):
         return  # whose record is lost

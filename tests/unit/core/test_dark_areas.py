@@ -99,8 +99,6 @@ def test_the_hue_is_that_of_pixels_as_bright_as_the_level() -> None:
 
 
 def test_what_no_picture_shows_does_not_count() -> None:
-    colours = even(0.0)
-    colours[8:24, 8:24, 8:24] = 1.0  # inside
     shell, inside = even(0.1), even(0.1)
     inside[8:24, 8:24, 8:24] = 1.0
     surface = np.s_[8:24, 8:24, N - 1]

@@ -63,8 +63,7 @@ def test_light_on_smoke_that_scatters_none_changes_no_bit() -> None:
 
 def test_smoke_that_its_light_makes_bright_is_no_dark_area() -> None:
     """However little emission is left for it."""
-    frame = in_light(0.0)
-    frame = replace(frame, lights=(LightSource("/sky", (30.0, 30.0, 30.0)),))
+    frame = replace(frame_of(puff(12)), lights=(LightSource("/sky", (30.0, 30.0, 30.0)),))
     before, after = (lifted(frame, lift) for lift in (0.0, 0.9))
     assert 0 < before.max() < 0.02  # a dark colour
     assert after == pytest.approx(before, abs=1e-5)

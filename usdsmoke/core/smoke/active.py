@@ -144,11 +144,15 @@ def divisor_of(smoke: ActiveSmoke) -> Tensor:
 
 def block_of(smoke: ActiveSmoke, coarse: ActiveSmoke, divisor: Tensor) -> Tensor:
     """The row in ``coarsen(smoke, divisor)`` of each voxel's block, [N]."""
-    blocks = torch.div(smoke.ijk, divisor, rounding_mode="floor")
-    first = coarse.ijk.amin(0)
-    shape = coarse.ijk.amax(0) - first + 1
-    known = flat_key(coarse.ijk, first, shape)  # ascending, as ``coarsen`` leaves them
-    return torch.searchsorted(known, flat_key(blocks, first, shape))
+    return rows_at(coarse, torch.div(smoke.ijk, divisor, rounding_mode="floor"))
+
+
+def rows_at(smoke: ActiveSmoke, ijk: Tensor) -> Tensor:
+    """The rows [N] of voxels by their indices [N 3]; the smoke has them all."""
+    first = smoke.ijk.amin(0)
+    shape = smoke.ijk.amax(0) - first + 1
+    known = flat_key(smoke.ijk, first, shape)  # ascending, as ``activate`` and ``coarsen`` order
+    return torch.searchsorted(known, flat_key(ijk, first, shape))
 
 
 def densify(ijk: Tensor, values: Tensor, low: Tensor, shape: Sequence[int]) -> Tensor:

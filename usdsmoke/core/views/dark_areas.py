@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usdsmoke.core.smoke.active import ActiveSmoke, flat_key, sample_colours
+from usdsmoke.core.smoke.active import ActiveSmoke, rows_at, sample_colours
 from usdsmoke.core.smoke.memory import sums_of
 from usdsmoke.core.smoke.spread import Surroundings
 from usdsmoke.core.views.occlusion import JoinedSmoke
@@ -50,11 +50,8 @@ def lift_dark_areas(
 def _joined_rows(painted: ActiveSmoke, smoke: ActiveSmoke) -> Tensor:
     """The row of the joined voxel that holds each painted one, [N]."""
     to_index = torch.as_tensor(np.linalg.inv(smoke.index_to_stage), device=smoke.ijk.device)
-    ijk = (painted.positions @ to_index[:3, :3] + to_index[3, :3]).round().to(smoke.ijk)
-    first = smoke.ijk.amin(0)
-    shape = smoke.ijk.amax(0) - first + 1
-    known = flat_key(smoke.ijk, first, shape)  # ascending, as ``activate`` and ``coarsen`` order
-    return torch.searchsorted(known, flat_key(ijk, first, shape))
+    index = painted.positions @ to_index[:3, :3] + to_index[3, :3]
+    return rows_at(smoke, index.round().to(smoke.ijk))
 
 
 def _joined_means(
