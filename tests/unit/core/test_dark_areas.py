@@ -12,7 +12,7 @@ from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.views.dark_areas import lift_dark_areas
-from usdsmoke.core.views.occlusion import join_smoke
+from usdsmoke.core.views.joined import join_smoke
 from usdsmoke.core.views.scene import Scene
 
 N = 32  # voxels along a side of the block

@@ -11,7 +11,8 @@ from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
 from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.smoke.tasks import computing_threads
-from usdsmoke.core.views.occlusion import find_relief, join_smoke, shaded
+from usdsmoke.core.views.joined import join_smoke
+from usdsmoke.core.views.occlusion import find_relief, shaded
 from usdsmoke.core.views.scene import Scene
 
 N = 24  # voxels along a side of the block

@@ -25,7 +25,9 @@ from usdsmoke.core.sequence.start import Carried, CoarseStart, on_device
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
 from usdsmoke.core.views.dark_areas import OF_STYLE, lift_dark_areas
-from usdsmoke.core.views.occlusion import find_relief, join_smoke, shaded
+from usdsmoke.core.views.grazing import smooth_grazing
+from usdsmoke.core.views.joined import join_smoke
+from usdsmoke.core.views.occlusion import find_relief, shaded
 from usdsmoke.core.views.scene import Scene
 
 FORWARD = np.array([0.0, 0.0, -1.0])  # any: smoke that scatters to all sides looks alike from all
@@ -139,17 +141,19 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
 
 
 def _finished(frame: PaintedFrame) -> PaintedFrame:
-    """The frame with ambient occlusion and lifted dark areas in its colours.
+    """The frame without hairlines, and with ambient occlusion and lifted dark areas in its colours.
 
     Albedos, whose light is hidden itself, and flat smoke stay as they are.
     """
     config, paint = frame.config.colour, frame.paint
-    if config.target == "albedo" or (config.occlusion == 0 and config.lift == 0):
+    if config.target == "albedo" or not (config.grazing or config.occlusion or config.lift):
         return frame
     if paint is None or not frame.in_effect or frame.smoke.thin_axis is not None:
         return frame
     started, (painted, colours), report = time.perf_counter(), paint, frame.report
     joined = join_smoke(frame.whole_smoke(), frame.scene)
+    if config.grazing:
+        colours = smooth_grazing(colours, painted, joined, frame.scene.gamma_w, config.grazing)
     if config.occlusion:
         colours = shaded(colours, find_relief(joined, painted.positions), config.occlusion)
     if level := min(config.lift, OF_STYLE * frame.targets.value):

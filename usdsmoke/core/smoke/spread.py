@@ -134,6 +134,16 @@ class Surroundings:
         share_rows(look, len(rows), SHARED_ROWS, values.device)
         return found
 
+    def slopes(self, values: Tensor) -> Tensor:
+        """What the next voxel along each axis has more than the one before, [N 3] of values [N].
+
+        A voxel that is not there has 0.
+        """
+        padded = torch.cat([values, values.new_zeros(1)])
+        return torch.stack(
+            [padded[behind] - padded[before] for before, behind in self._beside], dim=1
+        )
+
     @cached_property
     def _beside(self) -> list[tuple[Tensor, Tensor]]:
         """For each axis, the rows [N] of the voxels before and behind each one; N where none is."""

@@ -7,6 +7,8 @@
 - ``footprint``: the points in a voxel that it is splatted at
 - ``project``: voxels splatted on pixels, a sparse linear map
 - ``lighting``: the stage's light, scattered by the smoke; ``bounces``: more than once
+- ``joined``: smoke in large voxels, seen from all sides
+- ``grazing``: marks that are seen at grazing angles only, smoothed
 - ``occlusion``: how dark smoke is in the grooves between lumps
 - ``dark_areas``: large dark areas, lifted with the marks in them
 - ``shadows``: how much of a distant light arrives at a point

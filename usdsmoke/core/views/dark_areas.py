@@ -12,7 +12,7 @@ from torch import Tensor
 from usdsmoke.core.smoke.active import ActiveSmoke, rows_at, sample_colours
 from usdsmoke.core.smoke.memory import sums_of
 from usdsmoke.core.smoke.spread import Surroundings
-from usdsmoke.core.views.occlusion import JoinedSmoke
+from usdsmoke.core.views.joined import JoinedSmoke
 
 STEEPEST = 5.0  # times as bright: more would show noise
 OF_STYLE = 0.9  # of the median value of a style, which the level is no brighter than

@@ -1,0 +1,140 @@
+"""Marks in grooves are smoothed; marks that are seen face on stay, and get a little clearer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
+from tests.fixtures.stylize_fixtures import quick_config, run_core
+from usdsmoke.core.smoke.active import ActiveSmoke
+from usdsmoke.core.smoke.tasks import computing_threads
+from usdsmoke.core.views.grazing import smooth_grazing
+from usdsmoke.core.views.joined import join_smoke
+from usdsmoke.core.views.scene import Scene
+
+N = 24  # voxels along a side of the block
+SCENE = Scene(2.0, 1.0, 1.0, "Y", 1.0, 48)  # pictures see half a voxel deep; nothing is joined
+NOISE = np.random.default_rng(3).random((N, N, N, 3)).astype(np.float32)
+WALL = np.s_[9, N - 10 : N - 4, 6:18]  # of the groove, deep in it
+TOP = np.s_[3:8, N - 1, 6:18]  # beside the groove
+
+
+def grooved() -> np.ndarray:
+    """A block with a groove along z in its upper side, two wide and twelve deep."""
+    density = np.ones((N, N, N), np.float32)
+    density[10:12, N - 12 :, :] = 0
+    return density
+
+
+def smoothed(
+    colours: np.ndarray,
+    density: np.ndarray,
+    amount: float = 1.0,
+    scene: Scene = SCENE,
+    painted: ActiveSmoke | None = None,
+) -> np.ndarray:
+    """Of a block of colours [I J K 3]."""
+    smoke = smoke_of(density)
+    painted = painted or smoke
+    at = tuple(painted.ijk.T.numpy())
+    found = colours.copy()
+    joined = join_smoke(smoke, scene)
+    given = torch.from_numpy(colours[at])
+    found[at] = smooth_grazing(given, painted, joined, scene.gamma_w, amount).numpy()
+    return found
+
+
+def test_marks_in_a_groove_are_smoothed_and_marks_on_top_are_not() -> None:
+    found = smoothed(NOISE, grooved())
+    assert found[WALL].std() < 0.3 * NOISE[WALL].std()
+    assert 1.0 < found[TOP].std() / NOISE[TOP].std() < 1.18
+    assert np.corrcoef(found[TOP].ravel(), NOISE[TOP].ravel())[0, 1] > 0.98
+
+
+def test_half_of_the_amount_smooths_half() -> None:
+    none, half, all_of_it = (smoothed(NOISE, grooved(), amount) for amount in (0.0, 0.5, 1.0))
+    assert np.array_equal(none, NOISE)
+    deep = WALL[0], slice(N - 12, N - 8), WALL[2]  # which no picture shows face on
+    assert half[deep] == pytest.approx((none[deep] + all_of_it[deep]) / 2, abs=1e-2)
+
+
+def test_a_wall_that_is_seen_face_on_keeps_its_marks() -> None:
+    wide = grooved()
+    wide[10:, N - 12 :, :] = 0  # a step instead of a groove
+    found = smoothed(NOISE, wide)[WALL]
+    assert found.std() > 0.85 * NOISE[WALL].std()
+    assert np.corrcoef(found.ravel(), NOISE[WALL].ravel())[0, 1] > 0.98
+
+
+@pytest.mark.parametrize("value", [0.0, 0.4, 1.4])
+def test_an_even_colour_stays(value: float) -> None:
+    colours = np.full((N, N, N, 3), value, np.float32)
+    assert smoothed(colours, grooved()) == pytest.approx(colours, abs=1e-6)
+
+
+def test_fog_has_no_flanks() -> None:
+    """All sides show thin smoke alike, and a thin veil of one layer has no normal."""
+    veil = np.zeros((N, N, N), np.float32)
+    veil[:, 12, :] = 0.2
+    for density, scene in ((grooved(), replace(SCENE, gamma_w=1e-4)), (veil, SCENE)):
+        found, inside = smoothed(NOISE, density, scene=scene), density > 0
+        assert np.corrcoef(found[inside].ravel(), NOISE[inside].ravel())[0, 1] > 0.98
+
+
+def test_smoke_that_is_not_painted_hides_what_is() -> None:
+    """The painted side of the groove is as smooth as where all of it is painted."""
+    smoke = smoke_of(grooved())
+    half = smoke.take(smoke.ijk[:, 0] < 10)
+    alone = smoothed(NOISE, grooved(), painted=half)
+    assert alone[WALL].std() < 0.4 * NOISE[WALL].std()
+
+
+def test_colours_stay_in_their_range() -> None:
+    colours = NOISE.copy()
+    colours[::2] = np.rint(colours[::2])
+    found = smoothed(colours, grooved())
+    assert 0 <= found.min() and found.max() <= 1
+
+
+@pytest.mark.parametrize("n_voxels", [1, 2])
+@pytest.mark.parametrize("value", [1e-30, 1e30])
+def test_few_voxels_keep_finite_colours(n_voxels: int, value: float) -> None:
+    density, colours = np.zeros((3, 3, 3), np.float32), NOISE[:3, :3, :3].copy()
+    density[0, 0, :n_voxels] = value
+    found = smoothed(colours, density)
+    assert np.isfinite(found).all() and 0 <= found.min() and found.max() <= 1
+
+
+def test_threads_do_not_change_the_bits() -> None:
+    found = []
+    for n in (1, 3):
+        with computing_threads(n):
+            found.append(smoothed(NOISE, grooved()))
+    assert np.array_equal(*found)
+
+
+def test_a_run_smooths_colours_alone_and_leaves_albedos_and_flat_smoke() -> None:
+    plain, found = (run_with(amount) for amount in (0.0, 1.0))
+    assert np.array_equal(plain.density.values, found.density.values)
+    assert not same_bits(plain, found)
+    flat = np.ones((16, 16, 1), np.float32)
+    assert same_bits(*(run_with(amount, density=flat) for amount in (0.0, 1.0)))
+    assert same_bits(*(run_with(amount, "albedo") for amount in (0.0, 1.0)))
+
+
+def run_with(amount, target="emission", density=None):
+    config = quick_config(
+        optics={"sun": [0, 1, 0]} if target != "emission" else {},
+        colour={"occlusion": 0.0, "lift": 0.0, "grazing": amount, "target": target,
+                "iterations": [2, 2]},
+        optimize={"steps": ["colour"], "threads": 1, "tolerance": 0.0, "error_budget": False},
+    )  # fmt: skip
+    (found,) = run_core([frame_of(puff(16) if density is None else density)], config)
+    return found
+
+
+def same_bits(first, second) -> bool:
+    pairs = zip(first.painted, second.painted, strict=True)
+    return all(np.array_equal(a.values, b.values) for a, b in pairs)
