@@ -223,8 +223,8 @@ class ColourConfig(Section):
         "that they do not look like holes, but not above nine tenths of the style's "
         "median; dark marks in bright areas stay; 0: none", ge=0, le=0.9)
     grazing: float = setting(
-        0.0, "how much marks are smoothed on smoke that is seen at grazing angles only, such as "
-        "that in grooves: there, they look like hairlines; 0: not at all", ge=0, le=1)
+        0.0, "how much marks are smoothed where no side shows them face on, such as on the walls "
+        "of grooves: at grazing angles, they look like hairlines; 0: not at all", ge=0, le=1)
     learning_rate: float = setting(0.06, "Adam's step for display-encoded colour in [0, 1]", gt=0)
     iterations: Iterations = setting(
         [40, 40, 40], "iterations per octave, coarse to fine; 0 skips an octave",

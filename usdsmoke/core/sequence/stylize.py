@@ -141,7 +141,7 @@ def stylized_frame(frame: PaintedFrame, context: WindowContext) -> StylizedFrame
 
 
 def _finished(frame: PaintedFrame) -> PaintedFrame:
-    """The frame without hairlines, and with ambient occlusion and lifted dark areas in its colours.
+    """The frame with smooth grooves, ambient occlusion and lifted dark areas in its colours.
 
     Albedos, whose light is hidden itself, and flat smoke stay as they are.
     """

@@ -135,9 +135,9 @@ class Surroundings:
         return found
 
     def slopes(self, values: Tensor) -> Tensor:
-        """What the next voxel along each axis has more than the one before, [N 3] of values [N].
+        """Differences [N 3] over two voxels: the next one along each axis less the one before.
 
-        A voxel that is not there has 0.
+        Of values [N]; a voxel that is not there has 0.
         """
         padded = torch.cat([values, values.new_zeros(1)])
         return torch.stack(

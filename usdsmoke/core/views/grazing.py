@@ -1,7 +1,8 @@
-"""Marks on smoke that is seen at grazing angles only are smoothed: they look like hairlines.
+"""Marks on walls of grooves are smoothed: they look like hairlines (decision 087).
 
-A mark of ten voxels is a line of one or two pixels on the flank of a lump. Where some picture shows
-that flank face on, the mark is one there. In a groove, no picture does.
+A mark of ten voxels is a line of one or two pixels on smoke that is seen nearly along its surface.
+Where another side shows that surface face on, the mark is one there. In a groove, none does: the
+other wall is in the way.
 """
 
 import torch
@@ -12,15 +13,17 @@ from usdsmoke.core.smoke.spread import Surroundings, luma_detail
 from usdsmoke.core.views.joined import JoinedSmoke
 from usdsmoke.core.views.optics import opacity
 
-HIDDEN, OPEN = 0.05, 0.3  # facing: up to the first all is smoothed, from the second on nothing
+HIDDEN, OPEN = 0.2, 0.5  # facing: up to the first all is smoothed, from the second on nothing
 TIMES = 8  # means over three voxels along each axis, a Gaussian of 2.3 voxels
-CLEARER = 0.18  # of the detail that is added elsewhere: pictures keep their edges (decision 087)
+CLEARER = 0.18  # share of the detail that is added elsewhere, so that pictures keep their edges
 
 
 def smooth_grazing(
     colours: Tensor, painted: ActiveSmoke, joined: JoinedSmoke, gamma_w: float, amount: float
 ) -> Tensor:
-    """Colours [N 3], even where no picture shows them face on, and a little clearer elsewhere.
+    """Colours [N 3], smooth where no side shows them face on, and a little clearer elsewhere.
+
+    Voxels deep in the smoke are smoothed, too: no side shows them well.
 
     Args:
         colours: display-encoded [N 3], at least 0.
@@ -32,7 +35,7 @@ def smooth_grazing(
     shares = torch.stack([joined.facing, joined.clear], dim=1).to(colours)
     facing, clear = sample_colours(joined.smoke, shares, painted.positions)[0].unbind(1)
     alone = opacity(painted.density * (gamma_w * painted.voxel_size))
-    around = Surroundings(painted, alone * clear)  # what no picture shows does not count
+    around = Surroundings(painted, alone * clear)  # what no side shows does not count
     face_on = ((facing - HIDDEN) / (OPEN - HIDDEN)).clamp(0, 1)[:, None]
     found = torch.lerp(around.mean(colours, 1.0, TIMES), colours, 1 - amount * (1 - face_on))
     found += amount * CLEARER * face_on * luma_detail(around, found)
