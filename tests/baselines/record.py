@@ -18,9 +18,8 @@ __all__ = ["GOLDEN", "differences", "read_record", "same_circumstances", "write_
 GOLDEN = Path(__file__).with_name("golden.json")
 TOLERANCE = 1e-3  # relative, of results under other circumstances
 # of what an optimisation leads to: processors round otherwise, and that grows from step to step.
-# 1.5 to 2 times what AMD and Intel processors differ by, of which the run with an estimated velocity
-# has most (0.033); another seed changes colours several times as much.
-# Velocity is copied.
+# 1.5 to 2 times what AMD and Intel processors differ by, most (0.033) with an estimated velocity;
+# another seed changes colours several times as much. Velocity is copied.
 GROWN = (
     ("/figures/", 0.12), ("/vel/statistics", TOLERANCE), ("/density/statistics", 0.012),
     ("/statistics", 0.05),
