@@ -11,7 +11,7 @@ from torch import Tensor
 from usdsmoke.core.smoke.active import ActiveSmoke, coarsen
 from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.smoke.spread import Surroundings
-from usdsmoke.core.views.optics import THICKEST, opacity
+from usdsmoke.core.views.optics import THICKEST, attenuation_ratio, opacity
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.shadows import trace_shadows
 
@@ -84,8 +84,7 @@ def _facing(smoke: ActiveSmoke, depth: Tensor, shares: Tensor, sides: Tensor) ->
     normals = _normals(smoke, opacity(depth))
     even = 1 - normals.norm(dim=1)
     # shares are means over a voxel; here, no voxel hides itself
-    soft = (SOFT * depth).clamp(1e-12, THICKEST)
-    own = -torch.expm1(-soft) / soft
+    own = attenuation_ratio((SOFT * depth).clamp_max(THICKEST))
     found = torch.zeros_like(depth)
     for share, side in zip(shares, sides, strict=True):
         before = (share / own).clamp_max(1) ** (1 / SOFT)
