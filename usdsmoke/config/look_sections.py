@@ -121,6 +121,9 @@ class StyleConfig(Section):
     size: float | None = setting(
         None, "size of the style relative to the rendered image; unset: 1, or up to 4 if marks "
         "of the style are finer than voxels can hold", gt=0, le=8, request="styleSize")
+    areas: Literal["marked", "all"] = setting(
+        "marked", "of the style image; marked: without large areas that are dark or have no "
+        "marks, which would look like holes or haze; all: the whole image")
     colour: float = setting(
         1.0, "amount of the style's colour; 0: grey, above 1: more than the style has", ge=0, le=2)
     weights: Weights = setting(

@@ -20,7 +20,8 @@ from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.core.smoke.srgb import decode_srgb, luma
 from usdsmoke.core.style.hues import Hues, count_hues
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
-from usdsmoke.core.style.style_image import adjust_tones, match_grey, scale_style
+from usdsmoke.core.style.style_areas import marked_areas
+from usdsmoke.core.style.style_image import adjust_tones, in_areas, match_grey, scale_style
 from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
@@ -33,28 +34,28 @@ class StyleFeatures:
     """A style image and what is measured on it, once, whatever its share.
 
     Args:
-        pixels: display-encoded [H W 3] in [0, 1].
-        make_target: pixels, factor, grey -> what pictures 1/factor of full size are compared with.
-        scaled: pixels -> those at the size of full pictures.
+        pixels: display-encoded [P 3] in [0, 1], of the areas that count.
+        make_target: factor, grey -> what pictures 1/factor of full size are compared with.
+        scaled: the pixels at the size of full pictures.
     """
 
     def __init__(
         self,
         pixels: np.ndarray,
-        make_target: Callable[[np.ndarray, int, bool], StyleTarget],
-        scaled: Callable[[np.ndarray], Tensor],
+        make_target: Callable[[int, bool], StyleTarget],
+        scaled: Callable[[], Tensor],
     ) -> None:
         self._pixels = torch.as_tensor(np.ascontiguousarray(pixels))
-        self._scaled = partial(scaled, pixels)
+        self._scaled = scaled
         #: value -> see ``_sum_at``
         self.sum_at: Callable[[float], Tensor] = cache(self._sum_at)
         #: factor, grey -> what pictures 1/factor of full size are compared with
-        self.target: Callable[[int, bool], StyleTarget] = cache(partial(make_target, pixels))
+        self.target: Callable[[int, bool], StyleTarget] = cache(make_target)
 
     @cached_property
     def mean(self) -> Tensor:
         """Linear mean colour [3], on the CPU."""
-        return decode_srgb(self._pixels).mean(dim=(0, 1))
+        return decode_srgb(self._pixels).mean(dim=0)
 
     @cached_property
     def hues(self) -> Tensor:
@@ -81,7 +82,7 @@ class StyleFeatures:
         """Sum [3] of the colours of pixels, display-encoded, over the number of pixels, at the size
         of full pictures. They count by how near their brightest channel is to a value, and all
         count a little, for styles that have none there."""
-        pixels = self._scaled().reshape(-1, 3).double().cpu()
+        pixels = self._scaled().double().cpu()
         near = (-0.5 * ((pixels.amax(1) - value) / _NEAR).square()).exp() + _FAR
         return near @ pixels / len(near)
 
@@ -99,7 +100,7 @@ class StyleFeatures:
 
 def _mean_and_deviation(pixels: Tensor) -> tuple[Tensor, float]:
     """See ``StyleFeatures.colours``."""
-    pixels = pixels.reshape(-1, 3).double()
+    pixels = pixels.double()
     mean = pixels.mean(0)
     return mean, math.sqrt(float((pixels - mean).square().sum(1).mean()))
 
@@ -239,21 +240,41 @@ def make_targets(
     # made when it is first used: a window of empty frames does not read VGG-19's weights
     network_for, loading = cache(partial(build_network, features, seed)), threading.Lock()
 
-    def scaled(pixels: np.ndarray, factor: int = 1) -> Tensor:
-        return scale_style(pixels, scene.image_size / factor, sized, like)
+    def scaled(
+        pixels: np.ndarray, areas: np.ndarray | None, factor: int = 1
+    ) -> tuple[Tensor, Tensor | None]:
+        longer_side = scene.image_size / factor
+        style = scale_style(pixels, longer_side, sized, like)
+        if areas is None:
+            return style, None
+        shares = np.repeat(areas[..., None], 3, axis=2).astype(np.float32)
+        return style, scale_style(shares, longer_side, sized, like)[..., 0]
 
-    def make_target(pixels: np.ndarray, factor: int, grey: bool) -> StyleTarget:
-        style = scaled(pixels, factor)
+    def counted(pixels: np.ndarray, areas: np.ndarray | None) -> Tensor:
+        style, shares = scaled(pixels, areas)
+        return in_areas(style.reshape(-1, 3), shares)
+
+    def make_target(
+        pixels: np.ndarray, areas: np.ndarray | None, factor: int, grey: bool
+    ) -> StyleTarget:
+        style, shares = scaled(pixels, areas, factor)
         if grey:
-            style = match_grey(style, scene.grey_mean, scene.grey_deviation)
+            style = match_grey(style, scene.grey_mean, scene.grey_deviation, shares)
         nearest = () if grey else nearest_layers(features)
         with loading:  # weights are read once
             network = network_for()
-        return StyleTarget(style, network(style), layers, config.losses, content, nearest, seed)
+        return StyleTarget(
+            style, network(style), layers, config.losses, content, nearest, seed, shares
+        )
 
-    images = tuple(
-        StyleFeatures(adjust_tones(pixels, config.style), make_target, scaled) for pixels in styles
-    )
+    def measure(pixels: np.ndarray) -> StyleFeatures:
+        areas = marked_areas(pixels) if config.style.areas == "marked" else None
+        pixels = adjust_tones(pixels, config.style)
+        chosen = pixels.reshape(-1, 3) if areas is None else pixels[areas]
+        made, at_full_size = partial(make_target, pixels, areas), partial(counted, pixels, areas)
+        return StyleFeatures(chosen, made, at_full_size)
+
+    images = tuple(map(measure, styles))
     shares = tuple(style_shares(config.style, len(images)))
     return StyleTargets(images, shares, config.losses, device)
 

@@ -40,6 +40,7 @@ from usdsmoke.core.style.quantiles import (
     random_directions,
 )
 from usdsmoke.core.style.sliced import sliced_distance
+from usdsmoke.core.style.style_image import in_areas
 
 N_DIRECTIONS = 32  # of sliced Wasserstein, for each layer of a picture
 MOST_PER_CHANNEL = 4  # directions: colours alone have three channels
@@ -133,6 +134,7 @@ class StyleTarget:
         content_layers: for ``content_loss``.
         nearest_layers: those of the style layers that ``losses.nearest`` is for.
         seed: of the directions of sliced Wasserstein.
+        areas: of the style that count, [H W] in [0, 1], see ``marked_areas``; None: all.
     """
 
     def __init__(
@@ -144,6 +146,7 @@ class StyleTarget:
         content_layers: Iterable[str] = (),
         nearest_layers: Iterable[str] = (),
         seed: int = 0,
+        areas: Tensor | None = None,
     ) -> None:
         self._network, self._losses = network, losses or LossesConfig()
         self._weights = {name: weight for name, weight in layers.items() if weight != 0}
@@ -151,7 +154,7 @@ class StyleTarget:
         self._nearest_layers = frozenset(nearest_layers if self._losses.nearest else ())
         with torch.no_grad():
             maps = network(style, frozenset(self._weights))
-            self._layers = {name: _LayerTarget(maps[name], seed) for name in self._weights}
+            self._layers = {name: _LayerTarget(maps[name], seed, areas) for name in self._weights}
         # on a GPU, by shape and type of the pictures
         self._replays: dict[tuple[torch.Size, torch.dtype], Replay] = {}
 
@@ -223,12 +226,15 @@ class _LayerTarget:
     """One layer's features of the style; each statistic is made when it is first used.
 
     Distances take a picture's maps [1 C h w], and measure channels in units of the style's rms.
+    Features of areas of the style that do not count are left out.
     """
 
-    def __init__(self, maps: Tensor, seed: int) -> None:
-        rms = maps.float().square().mean(dim=(0, 2, 3)).sqrt()
-        self._scale = (1 / (rms.clamp_min(LEAST_RMS) + 1e-3)).to(at_least_single(maps))
-        self._style = at_least_single(_flat(maps)) * self._scale[:, None]  # [C P]
+    def __init__(self, maps: Tensor, seed: int, areas: Tensor | None = None) -> None:
+        small = None if areas is None else _small(areas, maps)
+        style = in_areas(at_least_single(_flat(maps)).T, small).T
+        rms = style.float().square().mean(dim=1).sqrt()
+        self._scale = (1 / (rms.clamp_min(LEAST_RMS) + 1e-3)).to(style)
+        self._style = style * self._scale[:, None]  # [C P]
         self._seed = seed
         self._slices: dict[int, tuple[Tensor, Tensor]] = {}
 

@@ -37,6 +37,15 @@ def scale_style(style: np.ndarray, longer_side: float, config: StyleConfig, like
     return pixels[0].permute(1, 2, 0).clamp(0, 1).contiguous()
 
 
+def in_areas(values: Tensor, areas: Tensor | None) -> Tensor:
+    """Those of values [P ...] that lie in areas, any shape of P numbers in [0, 1], by half or more.
+
+    All of them where areas are None, or smaller than a pixel each.
+    """
+    kept = None if areas is None else areas.flatten() >= 0.5
+    return values if kept is None or not bool(kept.any()) else values[kept]
+
+
 def adjust_tones(style: np.ndarray, config: StyleConfig) -> np.ndarray:
     """The style image with the amount of colour that is asked for, [H W 3].
 
@@ -50,7 +59,7 @@ def adjust_tones(style: np.ndarray, config: StyleConfig) -> np.ndarray:
     return np.clip(grey + config.colour * (style - grey), 0, 1).astype(style.dtype)
 
 
-def match_grey(style: Tensor, mean: float, deviation: float) -> Tensor:
+def match_grey(style: Tensor, mean: float, deviation: float, areas: Tensor | None = None) -> Tensor:
     """The style's luminance with the mean and contrast of the smoke's grey pictures, [H W 3].
 
     Unmatched, the first Gram losses are huge and the optimiser only chases contrast.
@@ -58,9 +67,11 @@ def match_grey(style: Tensor, mean: float, deviation: float) -> Tensor:
     Args:
         style: [H W 3], display-encoded.
         mean, deviation: of the grey level inside the smoke's silhouette.
+        areas: of the style that count, [H W] in [0, 1]; None: all.
     """
     light = luma(style)
-    spread = light.std(correction=0).clamp_min(1e-4)
+    counted = in_areas(light.flatten(), areas)
+    spread = counted.std(correction=0).clamp_min(1e-4)
     contrast = max(deviation, 0.2)  # nearly flat smoke still takes visible structure
-    matched = (light - light.mean()) / spread * contrast + mean
+    matched = (light - counted.mean()) / spread * contrast + mean
     return matched.clamp(0, 1)[..., None].expand(-1, -1, 3).contiguous()
