@@ -26,6 +26,7 @@ from usdsmoke.config.resolve import (
 )
 from usdsmoke.config.settings import Config, style_shares
 from usdsmoke.core.generator.weights import read_weights
+from usdsmoke.core.style.style_areas import marked_areas
 from usdsmoke.pictures import StyleImage, read_style_image, sheet_files
 from usdsmoke.planning.make_plan import check_plan, make_plan
 from usdsmoke.planning.materials import front_brightness
@@ -44,6 +45,8 @@ from usdsmoke.usd.look import LookFiles, check_asset, check_search_paths, look_f
 from usdsmoke.usd.stage import StageOrFile, layer_files, read_source, stage_file
 from usdsmoke.usd.volume_settings import ResolvedVolumes
 from usdsmoke.vdb.binding import binding_name
+
+_LEFT_OUT = 0.05  # share of a style image that is worth a note
 
 
 @dataclass(frozen=True)
@@ -195,13 +198,16 @@ def prepare_job(request: Request, fits: bool = True, parts: Mapping[str, int] | 
         for text in fine_marks_remarks(volume, [styles[place].pixels for place in volume.styles])
     ]
     of_styles = filter(None, (style.note for style in styles))
+    of_areas = _area_notes(plan, styles)
     opened = [*link_notes(request.output, output, Path(source.file_path))]
     if config.layer.mode == "reference" and not stage.HasDefaultPrim():
         opened.append(
             "the stage has no defaultPrim, so a reference to the asset has to name a prim, such as "
             f"</{source.volumes[0].prim_path.split('/')[1]}>"
         )
-    plan = dataclasses.replace(plan, notes=(*opened, *plan.notes, *fine_marks, *of_styles))
+    plan = dataclasses.replace(
+        plan, notes=(*opened, *plan.notes, *fine_marks, *of_styles, *of_areas)
+    )
     targets = look_files(source.file_path, output, config.layer)
     if targets.root_stage is not None:
         check_search_paths(stage, targets.root_stage)
@@ -343,6 +349,23 @@ def _check_brightness(volume: VolumeSource, config: Config) -> None:
                 f"{MOST_STOPS:g} stops. Change the brightness of the lights, or set "
                 "colour.target=emission and optics.albedo=0."
             )
+
+
+def _area_notes(plan: Plan, styles: tuple[StyleImage, ...]) -> list[str]:
+    """What of the style images looks are not painted with."""
+    used = {
+        place
+        for volume in plan.volumes
+        if volume.config.style.areas == "marked"
+        for place in volume.styles
+    }
+    shares = [(styles[place].name, 1 - marked_areas(styles[place].pixels).mean()) for place in used]
+    return [
+        f"{share:.0%} of {name} is left out, because it is dark or has no marks. To paint with the "
+        "whole image, set style.areas=all"
+        for name, share in sorted(shares)
+        if share >= _LEFT_OUT
+    ]
 
 
 def _read_files(

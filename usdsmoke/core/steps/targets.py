@@ -269,6 +269,7 @@ def make_targets(
 
     def measure(pixels: np.ndarray) -> StyleFeatures:
         areas = marked_areas(pixels) if config.style.areas == "marked" else None
+        areas = None if areas is None or areas.all() else areas
         pixels = adjust_tones(pixels, config.style)
         chosen = pixels.reshape(-1, 3) if areas is None else pixels[areas]
         made, at_full_size = partial(make_target, pixels, areas), partial(counted, pixels, areas)

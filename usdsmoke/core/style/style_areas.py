@@ -35,7 +35,7 @@ def marked_areas(style: np.ndarray) -> np.ndarray:
     if style.ndim != 3 or style.shape[2] != 3 or style.size == 0:
         raise ShapeError(f"marked_areas: the style is {list(style.shape)}. Give [H W 3].")
     factor = -(-max(style.shape[:2]) // LONGEST)
-    small = _reduced(np.asarray(style, np.float64), factor)
+    small = _reduced(style, factor)
     radius = max(1, min(small.shape[:2]) // AREAS)
 
     value = small.max(axis=2)
@@ -53,14 +53,13 @@ def marked_areas(style: np.ndarray) -> np.ndarray:
 
 
 def _reduced(style: np.ndarray, factor: int) -> np.ndarray:
-    """Means over squares of pixels; those at the border repeat its pixels."""
-    if factor == 1:
-        return style
-    height, width = (-(-n // factor) for n in style.shape[:2])
-    rows = np.minimum(np.arange(height * factor), style.shape[0] - 1)
-    columns = np.minimum(np.arange(width * factor), style.shape[1] - 1)
-    squares = style[rows][:, columns].reshape(height, factor, width, factor, 3)
-    return squares.mean(axis=(1, 3))
+    """Means over squares of pixels, float64; those at the border may be smaller."""
+    for axis, n in enumerate(style.shape[:2]):
+        first = np.arange(0, n, factor)
+        counts = np.minimum(first + factor, n) - first
+        sums = np.add.reduceat(style, first, axis, dtype=np.float64)
+        style = sums / counts.reshape([-1 if a == axis else 1 for a in range(3)])
+    return style
 
 
 def _around(values: np.ndarray, radius: int) -> np.ndarray:
