@@ -83,7 +83,8 @@ def test_the_hue_is_that_of_pixels_as_bright_as_the_level() -> None:
     bands = np.array([[[0.9, 0.9, 0.9], [0.3, 0.15, 0.0], [0.0, 0.0, 0.02]]], np.float32)
     style = bands.repeat(8, 1).repeat(24, 0)
     other = np.full((24, 24, 3), [0.0, 0.15, 0.3], np.float32)
-    scene, config = Scene(0.6, 0.3, 1.0, "Y", 1.0, 24), Config()
+    scene = Scene(0.6, 0.3, 1.0, "Y", 1.0, 24)
+    config = Config(style={"areas": "all"})
     white = np.ones((24, 24, 3), np.float32)  # of which no pixel is near the level
     dark = np.where(np.arange(24)[:, None] < 8, np.float32([0.02, 0, 0.03]), np.float32(1))
     dark = np.broadcast_to(dark, (24, 24, 3))

@@ -329,3 +329,12 @@ def test_a_camera_that_no_view_is_taken_from_is_told(
     tips = [note for note in notes if "--camera" in note]
     assert len(tips) == told
     assert all(("/World/cam0" in tip) == (n_cameras == 1) for tip in tips)
+
+
+def test_what_of_a_style_is_left_out_is_told(shot: Shot) -> None:
+    pixels = np.random.default_rng(0).integers(100, 256, (48, 48, 3), np.uint8)
+    pixels[:, :12] //= 8
+    Image.fromarray(pixels).save(shot.style)
+    (note,) = plan_of(shot).notes
+    assert Path(shot.style).name in note and "style.areas=all" in note and "%" in note
+    assert plan_of(shot, "style.areas=all").notes == ()
