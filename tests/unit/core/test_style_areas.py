@@ -61,7 +61,7 @@ def test_an_even_style_is_kept(value: float) -> None:
 
 def test_a_dark_style_stays_dark() -> None:
     """The darkest third is left out, of areas that differ."""
-    style = marks(0.0, 0.2) + np.linspace(0, 0.3, SIDE, dtype=np.float32)[:, None]
+    style = marks(0.0, 0.2) + np.linspace(0, 0.3, SIDE, dtype=np.float32)[:, None, None]
     kept = marked_areas(style)
     assert 1 - kept.mean() == pytest.approx(MOST, abs=0.01)
     assert kept[-20:].all() and not kept[:10].any()
