@@ -83,6 +83,11 @@ def test_few_even_colours_are_kept() -> None:
     assert 1 - marked_areas(style).mean() <= MOST
 
 
+def test_a_slope_has_no_marks_and_is_kept() -> None:
+    slope = np.linspace(0.6, 1, SIDE, dtype=np.float32)
+    assert marked_areas(np.broadcast_to(slope[:, None, None], (SIDE, SIDE, 3))).all()
+
+
 def test_mirrored_styles_have_mirrored_areas() -> None:
     style = with_band(marks(0.0, 0.3))
     for axis in (0, 1):

@@ -11,6 +11,7 @@ from usdsmoke.base.errors import ShapeError
 DARK = 0.55  # of the brightest channel, mean and deviation: an area below it shows no marks
 FLAT = 0.2  # of the image's mean contrast: an area with less has no marks
 MOST = 1 / 3  # share of the image that is left out
+MARKS = 0.01  # contrast, of luma: an image with less in the mean has no marks, and is kept
 LONGEST = 512  # pixels; a larger image is reduced, as what is finer is no mark
 AREAS = 24  # radii of an area along the shorter side of the image
 
@@ -42,10 +43,12 @@ def marked_areas(style: np.ndarray) -> np.ndarray:
     mean = _around(value, radius)
     bright = mean + np.sqrt(np.maximum(_around(value**2, radius) - mean**2, 0))
     light = small @ _LUMA
-    marks = light - _around(light, max(1, radius // 2))
+    marks = light - _around(light, max(1, radius // 2), is_even=True)
     contrast = np.sqrt(np.maximum(_around(marks**2, radius), 0))
 
-    is_flat = contrast < min(FLAT * contrast.mean(), np.quantile(contrast, MOST))
+    usual = contrast.mean()
+    flat = FLAT * usual if usual >= MARKS else 0.0
+    is_flat = contrast < min(flat, np.quantile(contrast, MOST))
     ranked = np.where(is_flat, 0, bright)
     is_dark = ranked < min(DARK, np.quantile(ranked, MOST))
     kept = ~(is_dark | is_flat).repeat(factor, axis=0).repeat(factor, axis=1)
@@ -62,13 +65,20 @@ def _reduced(style: np.ndarray, factor: int) -> np.ndarray:
     return style
 
 
-def _around(values: np.ndarray, radius: int) -> np.ndarray:
-    """Means of [H W] over squares, three times: a Gaussian of about ``radius`` pixels."""
+def _around(values: np.ndarray, radius: int, is_even: bool = False) -> np.ndarray:
+    """Means of [H W] over squares, three times: a Gaussian of about ``radius`` pixels.
+
+    Args:
+        is_even: squares are smaller at the border instead of cut, so that a slope has its own
+            values as means.
+    """
     for axis in (0, 1) * 3:
         n = values.shape[axis]
+        place = np.arange(n)
+        below, above = np.minimum(radius, place), np.minimum(radius, n - 1 - place)
+        if is_even:
+            below = above = np.minimum(below, above)
         sums = np.concatenate([np.zeros_like(values.take([0], axis)), values.cumsum(axis)], axis)
-        low = np.maximum(np.arange(n) - radius, 0)
-        high = np.minimum(np.arange(n) + radius + 1, n)
-        counts = np.expand_dims(high - low, 1 - axis)
-        values = (sums.take(high, axis) - sums.take(low, axis)) / counts
+        counts = np.expand_dims(below + above + 1, 1 - axis)
+        values = (sums.take(place + above + 1, axis) - sums.take(place - below, axis)) / counts
     return values
