@@ -1,6 +1,7 @@
 """The style loss of a picture: statistics of its features, content.
 
 - ``style_image``: the style image at the scale of a picture, its tones and grey levels
+- ``style_areas``: its areas with marks, which looks are painted with
 - ``hues``: the hues of a style, and colours that are brought to them
 - ``quantiles``: one-dimensional optimal transport between distributions of features
 - ``sliced``: the same along random directions, by counting instead of sorting
