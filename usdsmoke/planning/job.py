@@ -192,22 +192,13 @@ def prepare_job(request: Request, fits: bool = True, parts: Mapping[str, int] | 
         check_asset(stage)
     # The plan, and the files of its result.
     plan = _plan(source, config, resolved, earlier)
-    fine_marks = [
-        text
-        for volume in plan.volumes
-        for text in fine_marks_remarks(volume, [styles[place].pixels for place in volume.styles])
-    ]
-    of_styles = filter(None, (style.note for style in styles))
-    of_areas = _area_notes(plan, styles)
     opened = [*link_notes(request.output, output, Path(source.file_path))]
     if config.layer.mode == "reference" and not stage.HasDefaultPrim():
         opened.append(
             "the stage has no defaultPrim, so a reference to the asset has to name a prim, such as "
             f"</{source.volumes[0].prim_path.split('/')[1]}>"
         )
-    plan = dataclasses.replace(
-        plan, notes=(*opened, *plan.notes, *fine_marks, *of_styles, *of_areas)
-    )
+    plan = dataclasses.replace(plan, notes=(*opened, *plan.notes, *_style_notes(plan, styles)))
     targets = look_files(source.file_path, output, config.layer)
     if targets.root_stage is not None:
         check_search_paths(stage, targets.root_stage)
@@ -349,6 +340,17 @@ def _check_brightness(volume: VolumeSource, config: Config) -> None:
                 f"{MOST_STOPS:g} stops. Change the brightness of the lights, or set "
                 "colour.target=emission and optics.albedo=0."
             )
+
+
+def _style_notes(plan: Plan, styles: tuple[StyleImage, ...]) -> list[str]:
+    """What is said of the style images."""
+    fine_marks = [
+        text
+        for volume in plan.volumes
+        for text in fine_marks_remarks(volume, [styles[place].pixels for place in volume.styles])
+    ]
+    of_files = filter(None, (style.note for style in styles))
+    return [*fine_marks, *of_files, *_area_notes(plan, styles)]
 
 
 def _area_notes(plan: Plan, styles: tuple[StyleImage, ...]) -> list[str]:

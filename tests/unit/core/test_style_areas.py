@@ -11,6 +11,7 @@ from usdsmoke.config.settings import Config
 from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.style.losses import StyleTarget
 from usdsmoke.core.style.style_areas import LONGEST, MOST, marked_areas
+from usdsmoke.core.style.style_image import match_grey
 from usdsmoke.core.views.scene import Scene
 
 SIDE = 96  # pixels; areas are Gaussians of 4 of them
@@ -112,28 +113,36 @@ def test_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("statistic", ["gram", "sliced_wasserstein"])
-def test_a_target_with_areas_is_that_of_the_part(statistic: str) -> None:
+def test_a_target_with_alpha_is_that_of_the_part(statistic: str) -> None:
     style, picture = torch.from_numpy(with_band(0.7)), torch.from_numpy(marks(seed=3))
     losses = LossesConfig(statistic=statistic, histogram=0.5)
-    areas = torch.zeros(SIDE, SIDE)
-    areas[:, SIDE // 2 :] = 1.0
+    alpha = torch.zeros(SIDE, SIDE, 1)
+    alpha[:, SIDE // 2 :] = 1.0
 
-    def loss(pixels: Tensor, areas: Tensor | None) -> float:
-        target = StyleTarget(
-            pixels, Pixels(), {"fine": 1.0}, losses, nearest_layers=["fine"], areas=areas
-        )
+    def loss(pixels: Tensor) -> float:
+        target = StyleTarget(pixels, Pixels(), {"fine": 1.0}, losses, nearest_layers=["fine"])
         return target.loss(picture, None).item()
 
-    part = loss(style[:, SIDE // 2 :], None)
-    assert loss(style, areas) == pytest.approx(part, rel=1e-6)
-    assert loss(style, None) != pytest.approx(part, rel=0.02)
+    part = loss(style[:, SIDE // 2 :])
+    assert loss(torch.cat([style, alpha], 2)) == pytest.approx(part, rel=1e-6)
+    assert loss(style) != pytest.approx(part, rel=0.02)
 
 
 def test_areas_smaller_than_a_pixel_leave_the_whole_style() -> None:
     style, picture = torch.from_numpy(marks()), torch.from_numpy(marks(seed=3))
-    for areas in (None, torch.zeros(SIDE, SIDE)):
-        target = StyleTarget(style, Pixels(), {"fine": 1.0}, areas=areas)
+    for alpha in (torch.ones(SIDE, SIDE, 1), torch.zeros(SIDE, SIDE, 1)):
+        target = StyleTarget(torch.cat([style, alpha], 2), Pixels(), {"fine": 1.0})
         assert target.loss(style, None).item() < 0.1 < target.loss(picture * 0.5, None).item()
+
+
+def test_grey_levels_are_matched_in_the_areas() -> None:
+    style = torch.from_numpy(with_band(0.0))
+    alpha = torch.ones(SIDE, SIDE, 1)
+    alpha[:, : SIDE // 4] = 0.0
+    grey = match_grey(torch.cat([style, alpha], 2), 0.5, 0.2)
+    part = match_grey(style[:, SIDE // 4 :], 0.5, 0.2)
+    assert torch.equal(grey[..., 3:], alpha)
+    assert torch.allclose(grey[:, SIDE // 4 :, :3], part, atol=1e-6)
 
 
 def test_colours_of_a_style_are_those_of_its_areas() -> None:

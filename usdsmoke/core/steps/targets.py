@@ -21,7 +21,13 @@ from usdsmoke.core.smoke.srgb import decode_srgb, luma
 from usdsmoke.core.style.hues import Hues, count_hues
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
 from usdsmoke.core.style.style_areas import marked_areas
-from usdsmoke.core.style.style_image import adjust_tones, in_areas, match_grey, scale_style
+from usdsmoke.core.style.style_image import (
+    adjust_tones,
+    alpha_of,
+    in_areas,
+    match_grey,
+    scale_style,
+)
 from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
@@ -240,40 +246,32 @@ def make_targets(
     # made when it is first used: a window of empty frames does not read VGG-19's weights
     network_for, loading = cache(partial(build_network, features, seed)), threading.Lock()
 
-    def scaled(
-        pixels: np.ndarray, areas: np.ndarray | None, factor: int = 1
-    ) -> tuple[Tensor, Tensor | None]:
-        longer_side = scene.image_size / factor
-        style = scale_style(pixels, longer_side, sized, like)
-        if areas is None:
-            return style, None
-        shares = np.repeat(areas[..., None], 3, axis=2).astype(np.float32)
-        return style, scale_style(shares, longer_side, sized, like)[..., 0]
+    def scaled(pixels: np.ndarray, factor: int = 1) -> Tensor:
+        return scale_style(pixels, scene.image_size / factor, sized, like)
 
-    def counted(pixels: np.ndarray, areas: np.ndarray | None) -> Tensor:
-        style, shares = scaled(pixels, areas)
-        return in_areas(style.reshape(-1, 3), shares)
+    def counted(pixels: np.ndarray) -> Tensor:
+        style = scaled(pixels)
+        return in_areas(style[..., :3].flatten(0, 1), alpha_of(style))
 
-    def make_target(
-        pixels: np.ndarray, areas: np.ndarray | None, factor: int, grey: bool
-    ) -> StyleTarget:
-        style, shares = scaled(pixels, areas, factor)
+    def make_target(pixels: np.ndarray, factor: int, grey: bool) -> StyleTarget:
+        style = scaled(pixels, factor)
         if grey:
-            style = match_grey(style, scene.grey_mean, scene.grey_deviation, shares)
+            style = match_grey(style, scene.grey_mean, scene.grey_deviation)
         nearest = () if grey else nearest_layers(features)
         with loading:  # weights are read once
             network = network_for()
         return StyleTarget(
-            style, network(style), layers, config.losses, content, nearest, seed, shares
+            style, network(style[..., :3]), layers, config.losses, content, nearest, seed
         )
 
     def measure(pixels: np.ndarray) -> StyleFeatures:
-        areas = marked_areas(pixels) if config.style.areas == "marked" else None
-        areas = None if areas is None or areas.all() else areas
-        pixels = adjust_tones(pixels, config.style)
-        chosen = pixels.reshape(-1, 3) if areas is None else pixels[areas]
-        made, at_full_size = partial(make_target, pixels, areas), partial(counted, pixels, areas)
-        return StyleFeatures(chosen, made, at_full_size)
+        toned = adjust_tones(pixels, config.style)
+        if config.style.areas == "all" or (areas := marked_areas(pixels)).all():
+            chosen = toned.reshape(-1, 3)
+        else:
+            chosen = toned[areas]
+            toned = np.concatenate([toned, areas[..., None].astype(toned.dtype)], axis=2)
+        return StyleFeatures(chosen, partial(make_target, toned), partial(counted, toned))
 
     images = tuple(map(measure, styles))
     shares = tuple(style_shares(config.style, len(images)))

@@ -40,7 +40,7 @@ from usdsmoke.core.style.quantiles import (
     random_directions,
 )
 from usdsmoke.core.style.sliced import sliced_distance
-from usdsmoke.core.style.style_image import in_areas
+from usdsmoke.core.style.style_image import alpha_of, in_areas
 
 N_DIRECTIONS = 32  # of sliced Wasserstein, for each layer of a picture
 MOST_PER_CHANNEL = 4  # directions: colours alone have three channels
@@ -127,14 +127,13 @@ class StyleTarget:
     """The features of one style image at one size, and the losses measured by its network.
 
     Args:
-        style: [H W 3], display-encoded.
+        style: [H W 3], display-encoded; or [H W 4], whose alpha is 1 in the areas that count.
         network: feature maps by name.
         layers: weight of each style layer; one of weight 0 is not evaluated.
         losses: which statistic, and the weight of the histograms.
         content_layers: for ``content_loss``.
         nearest_layers: those of the style layers that ``losses.nearest`` is for.
         seed: of the directions of sliced Wasserstein.
-        areas: of the style that count, [H W] in [0, 1], see ``marked_areas``; None: all.
     """
 
     def __init__(
@@ -146,14 +145,13 @@ class StyleTarget:
         content_layers: Iterable[str] = (),
         nearest_layers: Iterable[str] = (),
         seed: int = 0,
-        areas: Tensor | None = None,
     ) -> None:
         self._network, self._losses = network, losses or LossesConfig()
         self._weights = {name: weight for name, weight in layers.items() if weight != 0}
         self._content_layers = frozenset(content_layers)
         self._nearest_layers = frozenset(nearest_layers if self._losses.nearest else ())
         with torch.no_grad():
-            maps = network(style, frozenset(self._weights))
+            maps, areas = network(style[..., :3], frozenset(self._weights)), alpha_of(style)
             self._layers = {name: _LayerTarget(maps[name], seed, areas) for name in self._weights}
         # on a GPU, by shape and type of the pictures
         self._replays: dict[tuple[torch.Size, torch.dtype], Replay] = {}

@@ -12,10 +12,10 @@ SMALLEST = 16  # pixels; smaller styles are enlarged to this, or filters of 7 pi
 
 
 def scale_style(style: np.ndarray, longer_side: float, config: StyleConfig, like: Tensor) -> Tensor:
-    """The style image tiled and resized for pictures of a given size, [h w 3].
+    """The style image tiled and resized for pictures of a given size, [h w C].
 
     Args:
-        style: [H W 3], display-encoded, in [0, 1].
+        style: [H W C], display-encoded, in [0, 1], with alpha or without.
         longer_side: pixels of the rendered picture's longer side.
         config: ``tiling`` repeats the image, ``size`` enlarges its structures; unset it is 1.
         like: gives dtype and device.
@@ -35,6 +35,11 @@ def scale_style(style: np.ndarray, longer_side: float, config: StyleConfig, like
         size = [round(height * factor), round(width * factor)]
         pixels = F.interpolate(pixels, size=size, mode="nearest")
     return pixels[0].permute(1, 2, 0).clamp(0, 1).contiguous()
+
+
+def alpha_of(style: Tensor) -> Tensor | None:
+    """Alpha [H W] of an image [H W 4]; None of one without, [H W 3]."""
+    return style[..., 3] if style.shape[-1] == 4 else None
 
 
 def in_areas(values: Tensor, areas: Tensor | None) -> Tensor:
@@ -59,19 +64,19 @@ def adjust_tones(style: np.ndarray, config: StyleConfig) -> np.ndarray:
     return np.clip(grey + config.colour * (style - grey), 0, 1).astype(style.dtype)
 
 
-def match_grey(style: Tensor, mean: float, deviation: float, areas: Tensor | None = None) -> Tensor:
-    """The style's luminance with the mean and contrast of the smoke's grey pictures, [H W 3].
+def match_grey(style: Tensor, mean: float, deviation: float) -> Tensor:
+    """The style's luminance with the mean and contrast of the smoke's grey pictures, same shape.
 
     Unmatched, the first Gram losses are huge and the optimiser only chases contrast.
 
     Args:
-        style: [H W 3], display-encoded.
+        style: [H W 3], display-encoded; or [H W 4], whose alpha is 1 in the areas that count.
         mean, deviation: of the grey level inside the smoke's silhouette.
-        areas: of the style that count, [H W] in [0, 1]; None: all.
     """
-    light = luma(style)
-    counted = in_areas(light.flatten(), areas)
+    light = luma(style[..., :3])
+    counted = in_areas(light.flatten(), alpha_of(style))
     spread = counted.std(correction=0).clamp_min(1e-4)
     contrast = max(deviation, 0.2)  # nearly flat smoke still takes visible structure
     matched = (light - counted.mean()) / spread * contrast + mean
-    return matched.clamp(0, 1)[..., None].expand(-1, -1, 3).contiguous()
+    grey = matched.clamp(0, 1)[..., None].expand(-1, -1, 3)
+    return torch.cat([grey, style[..., 3:]], dim=-1)
