@@ -355,19 +355,21 @@ def _style_notes(plan: Plan, styles: tuple[StyleImage, ...]) -> list[str]:
 
 def _area_notes(plan: Plan, styles: tuple[StyleImage, ...]) -> list[str]:
     """What of the style images looks are not painted with."""
-    used = {
-        place
-        for volume in plan.volumes
-        if volume.config.style.areas == "marked"
-        for place in volume.styles
-    }
-    shares = [(styles[place].name, 1 - marked_areas(styles[place].pixels).mean()) for place in used]
-    return [
-        f"{share:.0%} of {name} is left out, because it is dark or has no marks. To paint with the "
-        "whole image, set style.areas=all"
-        for name, share in sorted(shares)
-        if share >= _LEFT_OUT
-    ]
+    used = set[int]()
+    for volume in plan.volumes:
+        style = volume.with_all_weights.style
+        if style.areas == "marked":
+            shares = style_shares(style, len(volume.styles))
+            used |= {n for n, share in zip(volume.styles, shares, strict=True) if share > 0}
+    found = list[str]()
+    for name, number in sorted((styles[n].name, n) for n in used):
+        share = 1 - marked_areas(styles[number].pixels).mean()
+        if share >= _LEFT_OUT:
+            found.append(
+                f"{share:.0%} of {name} is left out, because it is dark or has no marks. To paint "
+                "with the whole image, set style.areas=all"
+            )
+    return found
 
 
 def _read_files(

@@ -64,7 +64,7 @@ def test_a_dark_style_stays_dark() -> None:
     """The darkest third is left out, of areas that differ."""
     style = marks(0.0, 0.2) + np.linspace(0, 0.3, SIDE, dtype=np.float32)[:, None, None]
     kept = marked_areas(style)
-    assert 1 - kept.mean() == pytest.approx(MOST, abs=0.01)
+    assert 1 - kept.mean() == pytest.approx(MOST, abs=0.02)
     assert kept[-20:].all() and not kept[:10].any()
 
 
@@ -76,17 +76,40 @@ def test_flat_areas_go_before_dark_ones() -> None:
     assert 1 - kept.mean() < MOST + 0.01
 
 
-def test_few_even_colours_are_kept() -> None:
-    """None of them is flatter than the others, though all are without marks."""
-    style = np.zeros((SIDE, SIDE, 3), np.float32)
-    style[:, SIDE // 2 :] = 0.9
-    assert marked_areas(style)[:, SIDE // 2 :].any() and marked_areas(style)[:, : SIDE // 2].any()
-    assert 1 - marked_areas(style).mean() <= MOST
+@pytest.mark.parametrize("noise", [0.0, 1 / 255])
+@pytest.mark.parametrize("side", [SIDE, 300, 481])
+def test_graphics_of_even_colours_are_kept(side: int, noise: float) -> None:
+    """Though most of their areas are without marks, and one of the colours is dark."""
+    style = np.empty((side, side, 3), np.float32)
+    style[:, : side // 2], style[:, side // 2 :] = [0.3, 0.1, 0.05], [0.95, 0.85, 0.65]
+    style += np.random.default_rng(0).uniform(-noise, noise, style.shape)
+    assert marked_areas(style).mean() > 0.98
 
 
-def test_a_slope_has_no_marks_and_is_kept() -> None:
+def test_marks_of_equal_light_are_marks() -> None:
+    band = marks()
+    light = band @ np.float32([0.2126, 0.7152, 0.0722])
+    band += (0.6 - light)[..., None]  # as bright everywhere
+    assert marked_areas(with_band(band.clip(0, 1))).all()
+
+
+def test_fine_marks_of_a_large_image_are_marks() -> None:
+    """Reduced or not: dark areas with bright marks of two pixels stay."""
+    for side in (1024, 1030, 1600):
+        style = marks(side=side)
+        dark = np.zeros_like(style)
+        dark[marks(0.0, 1.0, seed=1, side=side)[..., 0] > 0.65] = 1.0
+        style[:, : side // 4] = dark[:, : side // 4]
+        assert marked_areas(style).all()
+
+
+def test_a_slope_has_no_marks() -> None:
+    """It is kept where nothing has marks."""
     slope = np.linspace(0.6, 1, SIDE, dtype=np.float32)
-    assert marked_areas(np.broadcast_to(slope[:, None, None], (SIDE, SIDE, 3))).all()
+    slope = np.broadcast_to(slope[:, None, None], (SIDE, SIDE, 3))
+    assert marked_areas(slope).all()
+    kept = marked_areas(with_band(slope))
+    assert not kept[:, :12].any() and kept[:, 32:].all()
 
 
 def test_mirrored_styles_have_mirrored_areas() -> None:
@@ -147,12 +170,39 @@ def test_grey_levels_are_matched_in_the_areas() -> None:
 
 def test_colours_of_a_style_are_those_of_its_areas() -> None:
     style, cpu = with_band(marks(0.0, 0.3)), torch.device("cpu")
+    whole_image = Config(style={"areas": "all"})
     marked = make_targets([style], SCENE, Config(), cpu)
-    whole = make_targets([style], SCENE, Config(style={"areas": "all"}), cpu)
-    chosen = make_targets([style[marked_areas(style)][None]], SCENE, Config(), cpu)
+    whole = make_targets([style], SCENE, whole_image, cpu)
+    chosen = make_targets([style[marked_areas(style)][None]], SCENE, whole_image, cpu)
     assert marked.value == pytest.approx(chosen.value) and marked.value > whole.value
     assert torch.allclose(marked.background, chosen.background, atol=1e-6)
     assert marked.colours[1] == pytest.approx(chosen.colours[1])
     assert marked.brightness == pytest.approx(chosen.brightness)
     darkest = torch.full((1, 3), 0.1)
     assert torch.allclose(whole.hues.nearest(darkest), darkest, atol=0.05)
+
+
+@pytest.mark.parametrize("grey", [False, True])
+@pytest.mark.parametrize("factor", [1, 2])
+def test_pictures_are_compared_with_the_areas(factor: int, grey: bool) -> None:
+    """The loss of the style's own part is less than with the whole image, and as for that part."""
+    style, cpu = with_band(marks(0.0, 0.3)), torch.device("cpu")
+    picture = torch.from_numpy(marks(seed=1))[::factor, ::factor].contiguous()
+    picture = match_grey(picture, SCENE.grey_mean, SCENE.grey_deviation) if grey else picture
+    guide = torch.ones(picture.shape[:2])
+
+    def loss(areas: str) -> float:
+        config = Config(style={"areas": areas})
+        return make_targets([style], SCENE, config, cpu).at(factor, grey)(picture, guide).item()
+
+    assert loss("marked") < 0.95 * loss("all")
+
+
+def test_colours_at_full_size_are_those_of_the_areas() -> None:
+    style, cpu = with_band(np.float32([0.3, 0.0, 0.0]) + 0 * marks()), torch.device("cpu")
+    marked, whole = (
+        make_targets([style], SCENE, Config(style={"areas": areas}), cpu)
+        for areas in ("marked", "all")
+    )
+    assert marked.colours[1] < 0.8 * whole.colours[1]
+    assert marked.shown == pytest.approx(1, abs=0.02)

@@ -33,7 +33,7 @@ def count_hues(pixels: Tensor) -> Tensor:
     A chroma that no pixel of a neighbouring luma has keeps 0: what is grey stays grey.
 
     Args:
-        pixels: display-encoded [H W 3], in [0, 1].
+        pixels: display-encoded [... 3], in [0, 1].
     """
     shape = (LEVELS + 1, 2 * REACH + 1, 2 * REACH + 1)
     place = _places(pixels.reshape(-1, 3)).round().long()
