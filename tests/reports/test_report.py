@@ -182,10 +182,10 @@ def test_sweeps_without_use_say_why(
 @pytest.mark.usefixtures("quick_grids")
 def test_estimated_motion_serves_as_a_velocity(tmp_path: Path) -> None:
     windows = next(sweep for sweep in SWEEPS if sweep.name == "windows")
-    case = case_of(
-        make_scene(tmp_path, n_frames=2, moving=False),
-        "stage.motion=estimate", "colour.occlusion=0",  # which is steadier than the floor
-    )  # fmt: skip
+    scene = make_scene(tmp_path, n_frames=2, moving=False)
+    colourful(scene.style)
+    # occlusion is steadier than the floor
+    case = case_of(scene, "stage.motion=estimate", "colour.occlusion=0")
     assert windows.applies(case) == ""
     plan = windows.plan(case)
     task = next(task for task in plan.tasks if task.configured)

@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from tests.fixtures.report_fixtures import case_of, make_scene
+from tests.fixtures.smoke_fixtures import random_style
 from usdsmoke.work_precision import SWEEPS, Plan, Sweep
 from usdsmoke.work_precision.case import Case
 from usdsmoke.work_precision.records import LeftOut
@@ -67,7 +70,9 @@ def test_references_do_more_than_every_point_and_have_seeds_of_their_own(tmp_pat
 
 def test_errors_fall_with_the_iterations(tmp_path: Path) -> None:
     settings = ("colour.iterations=[0, 24]", "views.azimuth=12", "views.elevation=6")
-    case = timeless(case_of(make_scene(tmp_path, n_frames=1), *settings))
+    scene = make_scene(tmp_path, n_frames=1)
+    Image.fromarray((random_style() * 255).astype(np.uint8)).save(scene.style)
+    case = timeless(case_of(scene, *settings))
     reference = reference_of(case, "colour")
     trial, base = reference.trial, base_iterations(case, "colour")
     errors = [
