@@ -51,7 +51,7 @@ def marked_areas(style: np.ndarray) -> np.ndarray:
 
     mean, square = np.moveaxis(_around(value, radius), 2, 0)
     bright = (mean + np.sqrt(np.maximum(square - mean**2, 0))).round(2)
-    ranked = np.where(contrast < flat, -1.0, bright)
+    ranked = np.where(contrast < flat, -1.0, bright)  # flat areas are left out first
     left_out = ranked < max(min(DARK, np.quantile(ranked, MOST)), 0.0)
 
     kept = ~left_out.repeat(first * then, axis=0).repeat(first * then, axis=1)
