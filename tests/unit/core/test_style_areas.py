@@ -185,7 +185,7 @@ def test_colours_of_a_style_are_those_of_its_areas() -> None:
 @pytest.mark.parametrize("grey", [False, True])
 @pytest.mark.parametrize("factor", [1, 2])
 def test_pictures_are_compared_with_the_areas(factor: int, grey: bool) -> None:
-    """The loss of the style's own part is less than with the whole image, and as for that part."""
+    """The loss of a picture of the marks alone is less than with the whole image."""
     style, cpu = with_band(marks(0.0, 0.3)), torch.device("cpu")
     picture = torch.from_numpy(marks(seed=1))[::factor, ::factor].contiguous()
     picture = match_grey(picture, SCENE.grey_mean, SCENE.grey_deviation) if grey else picture

@@ -21,13 +21,7 @@ from usdsmoke.core.smoke.srgb import decode_srgb, luma
 from usdsmoke.core.style.hues import Hues, count_hues
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
 from usdsmoke.core.style.style_areas import marked_areas
-from usdsmoke.core.style.style_image import (
-    adjust_tones,
-    alpha_of,
-    in_areas,
-    match_grey,
-    scale_style,
-)
+from usdsmoke.core.style.style_image import adjust_tones, counted_pixels, match_grey, scale_style
 from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
@@ -40,23 +34,23 @@ class StyleFeatures:
     """A style image and what is measured on it, once, whatever its share.
 
     Args:
-        pixels: display-encoded [P 3] in [0, 1], of the areas that count.
-        make_target: factor, grey -> what pictures 1/factor of full size are compared with.
-        scaled: the pixels at the size of full pictures.
+        pixels: display-encoded [H W 3] in [0, 1]; or [H W 4], whose alpha is 1 where they count.
+        make_target: pixels, factor, grey -> what pictures 1/factor of full size are compared with.
+        scaled: pixels -> those at the size of full pictures.
     """
 
     def __init__(
         self,
         pixels: np.ndarray,
-        make_target: Callable[[int, bool], StyleTarget],
-        scaled: Callable[[], Tensor],
+        make_target: Callable[[np.ndarray, int, bool], StyleTarget],
+        scaled: Callable[[np.ndarray], Tensor],
     ) -> None:
-        self._pixels = torch.as_tensor(np.ascontiguousarray(pixels))
-        self._scaled = scaled
+        self._pixels = counted_pixels(torch.as_tensor(np.ascontiguousarray(pixels)))
+        self._scaled = partial(scaled, pixels)
         #: value -> see ``_sum_at``
         self.sum_at: Callable[[float], Tensor] = cache(self._sum_at)
         #: factor, grey -> what pictures 1/factor of full size are compared with
-        self.target: Callable[[int, bool], StyleTarget] = cache(make_target)
+        self.target: Callable[[int, bool], StyleTarget] = cache(partial(make_target, pixels))
 
     @cached_property
     def mean(self) -> Tensor:
@@ -88,7 +82,7 @@ class StyleFeatures:
         """Sum [3] of the colours of pixels, display-encoded, over the number of pixels, at the size
         of full pictures. They count by how near their brightest channel is to a value, and all
         count a little, for styles that have none there."""
-        pixels = self._scaled().double().cpu()
+        pixels = counted_pixels(self._scaled()).double().cpu()
         near = (-0.5 * ((pixels.amax(1) - value) / _NEAR).square()).exp() + _FAR
         return near @ pixels / len(near)
 
@@ -101,7 +95,9 @@ class StyleFeatures:
     def shown(self) -> float:
         """The share of the colours' deviation that is left at the size of full pictures."""
         spread = self.colours[1]
-        return _mean_and_deviation(self._scaled())[1] / spread if spread > 0 else 1.0
+        return (
+            _mean_and_deviation(counted_pixels(self._scaled()))[1] / spread if spread > 0 else 1.0
+        )
 
 
 def _mean_and_deviation(pixels: Tensor) -> tuple[Tensor, float]:
@@ -249,10 +245,6 @@ def make_targets(
     def scaled(pixels: np.ndarray, factor: int = 1) -> Tensor:
         return scale_style(pixels, scene.image_size / factor, sized, like)
 
-    def counted(pixels: np.ndarray) -> Tensor:
-        style = scaled(pixels)
-        return in_areas(style[..., :3].flatten(0, 1), alpha_of(style))
-
     def make_target(pixels: np.ndarray, factor: int, grey: bool) -> StyleTarget:
         style = scaled(pixels, factor)
         if grey:
@@ -264,18 +256,20 @@ def make_targets(
             style, network(style[..., :3]), layers, config.losses, content, nearest, seed
         )
 
-    def measure(pixels: np.ndarray) -> StyleFeatures:
-        toned = adjust_tones(pixels, config.style)
-        if config.style.areas == "all" or (areas := marked_areas(pixels)).all():
-            chosen = toned.reshape(-1, 3)
-        else:
-            chosen = toned[areas]
-            toned = np.concatenate([toned, areas[..., None].astype(toned.dtype)], axis=2)
-        return StyleFeatures(chosen, partial(make_target, toned), partial(counted, toned))
-
-    images = tuple(map(measure, styles))
+    images = tuple(
+        StyleFeatures(_prepared(pixels, config.style), make_target, scaled) for pixels in styles
+    )
     shares = tuple(style_shares(config.style, len(images)))
     return StyleTargets(images, shares, config.losses, device)
+
+
+def _prepared(pixels: np.ndarray, config: StyleConfig) -> np.ndarray:
+    """An image [H W 3] in the tones that are asked for, with alpha if some of it does not count."""
+    toned = adjust_tones(pixels, config)
+    areas = marked_areas(pixels) if config.areas == "marked" else None
+    if areas is None or areas.all():
+        return toned
+    return np.concatenate([toned, areas[..., None].astype(toned.dtype)], axis=2)
 
 
 def sized_style(config: StyleConfig, scene: Scene) -> StyleConfig:

@@ -75,7 +75,7 @@ def _means(style: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _around(values: np.ndarray, radius: int) -> np.ndarray:
-    """Means of [H W C] over squares, three times: a Gaussian of about ``radius`` pixels.
+    """Means of [H W ...] over squares, three times: a Gaussian of about ``radius`` pixels.
 
     The border cuts squares off.
     """

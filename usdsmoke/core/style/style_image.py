@@ -51,6 +51,11 @@ def in_areas(values: Tensor, areas: Tensor | None) -> Tensor:
     return values if kept is None or not bool(kept.any()) else values[kept]
 
 
+def counted_pixels(style: Tensor) -> Tensor:
+    """The pixels [P 3] of an image [H W 3] or, of one with alpha, those that count."""
+    return in_areas(style[..., :3].flatten(0, 1), alpha_of(style))
+
+
 def adjust_tones(style: np.ndarray, config: StyleConfig) -> np.ndarray:
     """The style image with the amount of colour that is asked for, [H W 3].
 
