@@ -157,7 +157,8 @@ class LossesConfig(Section):
 
     # In the colour step beside the style; too large a weight keeps the step from it.
     BESIDE_STYLE: ClassVar[tuple[str, ...]] = (
-        "nearest", "content", "histogram", "laplacian", "photorealism", "total_variation")
+        "nearest", "local_contrast", "content", "histogram", "laplacian", "photorealism",
+        "total_variation")
 
     style: float = setting(
         1.0, "weight of the style; 0 returns the source, whatever the other weights are", ge=0)
@@ -171,6 +172,10 @@ class LossesConfig(Section):
         1.0, "weight of the distances from the features of the two deepest learned style layers to "
         "the nearest ones of the style, and from the style's to the nearest of theirs, in the "
         "colour step, relative to the style's weight; above 1, pieces of the style repeat", ge=0)
+    local_contrast: float = setting(
+        10.0, "weight of the contrast and brightness that areas of the pictures lack beside most "
+        "areas of the style, in the colour step, relative to the style's weight: so that all of "
+        "the smoke shows marks", ge=0)
     content: float = setting(
         0.0, "weight of the loss that preserves the features of the smoke's own grey image", ge=0)
     laplacian: float = setting(

@@ -19,6 +19,7 @@ from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.core.smoke.srgb import decode_srgb, luma
 from usdsmoke.core.style.hues import Hues, count_hues
+from usdsmoke.core.style.local_contrast import AREAS, AreaLevels, area_contrasts
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
 from usdsmoke.core.style.style_areas import marked_areas
 from usdsmoke.core.style.style_image import adjust_tones, counted_pixels, match_grey, scale_style
@@ -26,6 +27,7 @@ from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
 
+OF_STYLE = 0.9  # of the median value of a style, which the level of dark areas is no brighter than
 _NEAR = 0.08  # standard deviation of a brightest channel that counts as near a value
 _FAR = 1e-3  # of the weight of a pixel there, which all have
 
@@ -35,22 +37,25 @@ class StyleFeatures:
 
     Args:
         pixels: display-encoded [H W 3] in [0, 1]; or [H W 4], whose alpha is 1 where they count.
-        make_target: pixels, factor, grey -> what pictures 1/factor of full size are compared with.
-        scaled: pixels -> those at the size of full pictures.
+        scaled: pixels, factor -> those at the size of pictures 1/factor of full size.
+        make_target: scaled pixels, grey -> what pictures of that size are compared with.
     """
 
     def __init__(
         self,
         pixels: np.ndarray,
-        make_target: Callable[[np.ndarray, int, bool], StyleTarget],
-        scaled: Callable[[np.ndarray], Tensor],
+        scaled: Callable[[np.ndarray, int], Tensor],
+        make_target: Callable[[Tensor, bool], StyleTarget],
     ) -> None:
         self._pixels = counted_pixels(torch.as_tensor(np.ascontiguousarray(pixels)))
-        self._scaled = partial(scaled, pixels)
+        self._scaled: Callable[[int], Tensor] = cache(partial(scaled, pixels))
+        self._make_target = make_target
+        #: factor, radius in pixels -> contrasts of areas, see ``AreaLevels``
+        self.contrasts: Callable[[int, float], tuple[float, ...]] = cache(self._contrasts)
         #: value -> see ``_sum_at``
         self.sum_at: Callable[[float], Tensor] = cache(self._sum_at)
         #: factor, grey -> what pictures 1/factor of full size are compared with
-        self.target: Callable[[int, bool], StyleTarget] = cache(partial(make_target, pixels))
+        self.target: Callable[[int, bool], StyleTarget] = cache(self._target)
 
     @cached_property
     def mean(self) -> Tensor:
@@ -78,11 +83,17 @@ class StyleFeatures:
         """Median of the brightest channel, display-encoded."""
         return float(self._pixels.amax(-1).median())
 
+    def _target(self, factor: int, grey: bool) -> StyleTarget:
+        return self._make_target(self._scaled(factor), grey)
+
+    def _contrasts(self, factor: int, radius: float) -> tuple[float, ...]:
+        return area_contrasts(self._scaled(factor), radius)
+
     def _sum_at(self, value: float) -> Tensor:
         """Sum [3] of the colours of pixels, display-encoded, over the number of pixels, at the size
         of full pictures. They count by how near their brightest channel is to a value, and all
         count a little, for styles that have none there."""
-        pixels = counted_pixels(self._scaled()).double().cpu()
+        pixels = counted_pixels(self._scaled(1)).double().cpu()
         near = (-0.5 * ((pixels.amax(1) - value) / _NEAR).square()).exp() + _FAR
         return near @ pixels / len(near)
 
@@ -95,9 +106,9 @@ class StyleFeatures:
     def shown(self) -> float:
         """The share of the colours' deviation that is left at the size of full pictures."""
         spread = self.colours[1]
-        return (
-            _mean_and_deviation(counted_pixels(self._scaled()))[1] / spread if spread > 0 else 1.0
-        )
+        if spread == 0:
+            return 1.0
+        return _mean_and_deviation(counted_pixels(self._scaled(1)))[1] / spread
 
 
 def _mean_and_deviation(pixels: Tensor) -> tuple[Tensor, float]:
@@ -115,6 +126,8 @@ class StyleTargets:
     shares: tuple[float, ...]  # of the images, adding up to 1
     losses: LossesConfig
     device: torch.device
+    lift: float = 0.0  # ``colour.lift``
+    radius: float = 1.0  # of an area of full pictures, pixels
 
     def weighted(self, config: StyleConfig) -> "StyleTargets":
         """The same images with other ``weights``.
@@ -144,6 +157,11 @@ class StyleTargets:
     def value(self) -> float:
         """The styles' medians of the brightest channel, by their shares, display-encoded."""
         return sum(share * image.value for share, image in self._used)
+
+    @property
+    def dark_level(self) -> float:
+        """The value that dark areas are brought to, display-encoded; 0: they stay."""
+        return min(self.lift, OF_STYLE * self.value)
 
     def hue_at(self, value: float) -> Tensor:
         """The styles' mean colour where their brightest channel is near a value, as bright as can
@@ -180,7 +198,19 @@ class StyleTargets:
             FeatureError: see ``features.build_network``.
         """
         targets = [image.target(factor, grey) for _, image in self._used]
-        return PictureLoss(targets, [share for share, _ in self._used], self.losses)
+        shares = [share for share, _ in self._used]
+        return PictureLoss(targets, shares, self.losses, None if grey else self._areas(factor))
+
+    def _areas(self, factor: int) -> AreaLevels | None:
+        """What areas of pictures 1/factor of full size should have."""
+        if not self.losses.local_contrast:
+            return None
+        radius = self.radius / factor
+        levels = [
+            [share * level for level in image.contrasts(factor, radius)]
+            for share, image in self._used
+        ]
+        return AreaLevels(radius, self.dark_level, tuple(map(sum, zip(*levels, strict=True))))
 
     def prepare(self, iterations: Mapping[str, Sequence[int]]) -> None:
         """Make what steps compare with at the octaves that have iterations, shared among threads.
@@ -242,11 +272,10 @@ def make_targets(
     # made when it is first used: a window of empty frames does not read VGG-19's weights
     network_for, loading = cache(partial(build_network, features, seed)), threading.Lock()
 
-    def scaled(pixels: np.ndarray, factor: int = 1) -> Tensor:
+    def scaled(pixels: np.ndarray, factor: int) -> Tensor:
         return scale_style(pixels, scene.image_size / factor, sized, like)
 
-    def make_target(pixels: np.ndarray, factor: int, grey: bool) -> StyleTarget:
-        style = scaled(pixels, factor)
+    def make_target(style: Tensor, grey: bool) -> StyleTarget:
         if grey:
             style = match_grey(style, scene.grey_mean, scene.grey_deviation)
         nearest = () if grey else nearest_layers(features)
@@ -257,10 +286,11 @@ def make_targets(
         )
 
     images = tuple(
-        StyleFeatures(_prepared(pixels, config.style), make_target, scaled) for pixels in styles
+        StyleFeatures(_prepared(pixels, config.style), scaled, make_target) for pixels in styles
     )
     shares = tuple(style_shares(config.style, len(images)))
-    return StyleTargets(images, shares, config.losses, device)
+    lift, radius = config.colour.lift, scene.image_size / AREAS
+    return StyleTargets(images, shares, config.losses, device, lift, radius)
 
 
 def _prepared(pixels: np.ndarray, config: StyleConfig) -> np.ndarray:

@@ -14,7 +14,8 @@ convergence:
 Instead of Gram matrices, or in addition, the distributions of the features are compared: channel by
 channel (the histogram loss [Risser2017]), or along random directions (sliced Wasserstein
 [Heitz2021]). The deep layers are also drawn to the nearest features of the style [Li2016], and each
-feature of the style pulls the nearest one of the picture [Simakov2008].
+feature of the style pulls the nearest one of the picture [Simakov2008]. Areas of a picture that
+have less contrast than the style's cost something too (``local_contrast``).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -32,6 +33,7 @@ from usdsmoke.core.smoke.memory import accumulate
 from usdsmoke.core.smoke.replay import Replay, enlarged
 from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
+from usdsmoke.core.style.local_contrast import AreaLevels, area_distance
 from usdsmoke.core.style.nearest import nearest_distances, thin_out
 from usdsmoke.core.style.quantiles import (
     at_least_single,
@@ -70,13 +72,18 @@ class PictureLoss:
         targets: one for each style image.
         shares: of the style images, adding up to 1.
         losses: the other weights.
+        areas: of the style, at the size of the pictures; None leaves out what areas lack.
     """
 
     def __init__(
-        self, targets: Sequence["StyleTarget"], shares: Sequence[float], losses: LossesConfig
+        self,
+        targets: Sequence["StyleTarget"],
+        shares: Sequence[float],
+        losses: LossesConfig,
+        areas: AreaLevels | None = None,
     ) -> None:
         self._targets = tuple(zip(shares, targets, strict=True))
-        self._losses = losses
+        self._losses, self._areas = losses, areas
 
     @property
     def uses_content(self) -> bool:
@@ -105,6 +112,9 @@ class PictureLoss:
         total = picture.new_zeros(())
         for share, target in self._targets:
             total = total + share * target.loss(picture, guide, draw)
+        if self._areas is not None:
+            lack = area_distance(picture, guide, self._areas)
+            total = total + self._losses.style * self._losses.local_contrast * lack
         if self._losses.total_variation:
             total = total + self._losses.total_variation * total_variation(picture)
         return total if content is None else total + self._content_loss(picture, guide, content)

@@ -1,0 +1,196 @@
+"""What areas of a picture lack beside those of a style: contrast and brightness."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from usdsmoke.config.settings import Config
+from usdsmoke.core.steps.targets import StyleTargets, make_targets
+from usdsmoke.core.style.local_contrast import (
+    ABOVE,
+    DARK,
+    WEIGHTS,
+    AreaLevels,
+    area_contrasts,
+    area_distance,
+)
+from usdsmoke.core.views.scene import Scene
+
+SIDE = 96
+RADIUS = 6.0
+ALL = torch.ones(SIDE, SIDE, dtype=torch.float64)
+
+
+def even(value: float, side: int = SIDE) -> Tensor:
+    return torch.full((side, side, 3), value, dtype=torch.float64)
+
+
+def stripes(amplitude: float, period: int, mean: float = 0.5) -> Tensor:
+    """Vertical, ``amplitude`` above and below a grey."""
+    sign = torch.arange(SIDE) // (period // 2) % 2 * 2.0 - 1
+    return even(mean) + amplitude * sign.double()[None, :, None]
+
+
+def random_picture(seed: int = 0, low: float = 0.0) -> Tensor:
+    """Squares of four pixels."""
+    drawn = np.random.default_rng(seed).uniform(low, 1, (SIDE // 4, SIDE // 4, 3))
+    return torch.as_tensor(drawn.repeat(4, 0).repeat(4, 1))
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, 0.3, 0.4, 0.9])
+def test_an_even_picture_costs_what_it_is_darker_than_the_level(value: float) -> None:
+    expected = DARK * max(0.0, 1 - value / 0.4) ** 2
+    found = area_distance(even(value), ALL, AreaLevels(RADIUS, 0.4, (0.0, 0.0)))
+    assert float(found) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_brightest_channel_tells_what_is_dark() -> None:
+    red = even(0.0)
+    red[..., 0] = 0.4
+    assert float(area_distance(red, ALL, AreaLevels(RADIUS, 0.4, (0.0, 0.0)))) == pytest.approx(
+        0, abs=1e-9
+    )
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 1.0, 2.0])
+def test_fine_stripes_cost_what_they_lack_in_contrast(share: float) -> None:
+    """Both contrasts of stripes of two pixels are those of all their pixels."""
+    wanted = 0.2 * 3**0.5  # of three channels
+    levels = AreaLevels(RADIUS, 0.0, (wanted, wanted))
+    found = float(area_distance(stripes(0.2 * share, 2), ALL, levels))
+    assert found == pytest.approx(sum(WEIGHTS) * max(0.0, 1 - share) ** 2, abs=2e-3)
+
+
+def test_only_the_contrast_of_all_marks_sees_wide_ones() -> None:
+    """A Gaussian of 2 pixels keeps .58 of the first wave of stripes of 12 pixels, which has .81 of
+    their power, and hardly anything of the others: .58 of the contrast is finer."""
+    everything, fine = area_contrasts(stripes(0.2, 12), RADIUS)
+    narrow = area_contrasts(stripes(0.2, 2), RADIUS)
+    assert narrow == pytest.approx([ABOVE * 0.2 * 3**0.5] * 2, rel=0.01)
+    assert fine == pytest.approx(0.58 * narrow[0], rel=0.06)
+    assert everything > 0.95 * narrow[0]
+
+
+def test_black_that_is_gathered_costs_and_black_that_is_spread_does_not() -> None:
+    """The two have the same pixels."""
+    spread = torch.where(stripes(0.4, 2) > 0.5, 0.9, 0.0)
+    gathered = spread.sort(dim=1).values
+    levels = AreaLevels(RADIUS, 0.4, (0.0, 0.0))
+    assert float(area_distance(spread, ALL, levels)) == pytest.approx(0, abs=1e-9)
+    assert float(area_distance(gathered, ALL, levels)) > 0.2 * DARK
+
+
+def test_marks_that_are_gathered_cost_and_marks_everywhere_do_not() -> None:
+    style = random_picture()
+    levels = AreaLevels(RADIUS, 0.0, area_contrasts(style, RADIUS))
+    half = style.clone()
+    half[:, : SIDE // 2] = style.mean((0, 1))
+    other = float(area_distance(random_picture(1), ALL, levels))
+    assert other < 0.03
+    assert float(area_distance(half, ALL, levels)) > max(0.5, 20 * other)
+
+
+def test_what_is_blurred_costs() -> None:
+    style = random_picture()
+    levels = AreaLevels(RADIUS, 0.0, area_contrasts(style, RADIUS))
+    kernel = torch.ones(3, 1, 5, 5, dtype=torch.float64) / 25
+    blurred = torch.nn.functional.conv2d(style.permute(2, 0, 1)[None], kernel, groups=3, padding=2)
+    assert float(area_distance(blurred[0].permute(1, 2, 0), ALL, levels)) > 0.1
+
+
+def test_only_the_smoke_counts() -> None:
+    picture, guide = random_picture(), ALL.clone()
+    guide[:, : SIDE // 2] = 0
+    beside = picture.clone()
+    beside[:, : SIDE // 2] = 0
+    levels = AreaLevels(RADIUS, 0.9, (1.0, 1.0))
+    found = float(area_distance(picture, guide, levels))
+    assert float(area_distance(beside, guide, levels)) == pytest.approx(found, rel=1e-12)
+    assert float(area_distance(beside, ALL, levels)) > 1.2 * found
+    assert float(area_distance(picture, torch.zeros_like(guide), levels)) == 0
+
+
+def test_a_style_s_areas_that_do_not_count_set_no_level() -> None:
+    style, alpha = random_picture(), ALL.clone()
+    alpha[:, : SIDE // 2] = 0
+    flat = style.clone()
+    flat[:, : SIDE // 2] = 0.5
+
+    def contrasts(pixels: Tensor, areas: Tensor) -> tuple[float, ...]:
+        return area_contrasts(torch.cat([pixels, areas[..., None]], dim=2), RADIUS)
+
+    assert contrasts(flat, alpha) == pytest.approx(contrasts(style, alpha), rel=1e-12)
+    assert contrasts(flat, ALL)[0] < 0.1 * contrasts(style, ALL)[0]
+    assert contrasts(style, 0 * ALL) == area_contrasts(style, RADIUS)  # too small to be seen
+
+
+def test_an_even_style_asks_for_no_contrast() -> None:
+    levels = AreaLevels(RADIUS, 0.0, area_contrasts(even(0.5), RADIUS))
+    assert float(area_distance(even(0.3), ALL, levels)) == 0
+
+
+def test_fine_marks_of_less_than_a_pixel_are_not_looked_for() -> None:
+    assert len(area_contrasts(random_picture(), 2.9)) == 1
+    assert len(area_contrasts(random_picture(), 3.0)) == 2
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 3)])
+def test_pictures_smaller_than_an_area_are_finite(shape: tuple[int, int]) -> None:
+    picture = torch.rand(*shape, 3, generator=torch.Generator().manual_seed(0))
+    contrasts = area_contrasts(picture, RADIUS)
+    found = area_distance(0.5 * picture, torch.ones(shape), AreaLevels(RADIUS, 0.5, contrasts))
+    assert 0 <= float(found) < 10
+
+
+def test_gradients_are_those_of_finite_differences() -> None:
+    picture, guide = random_picture(2, 0.2)[:20, :16].clone(), ALL[:20, :16].clone()
+    guide[:, :5] = 0.3
+    levels = AreaLevels(3.0, 0.9, (0.9, 0.6))
+    picture.requires_grad_(True)
+    assert torch.autograd.gradcheck(lambda x: area_distance(x, guide, levels), [picture])
+
+
+# In a run
+
+
+def targets(style: Tensor, **losses: float) -> StyleTargets:
+    config = Config().replace(losses=Config().losses.replace(**losses))
+    scene = Scene(0.6, 0.3, 1.0, "Y", 1.0, SIDE)
+    return make_targets([style.float().numpy()], scene, config, torch.device("cpu"))
+
+
+def test_the_colour_step_looks_at_areas_and_the_shape_step_does_not() -> None:
+    style, guide = random_picture(), torch.ones(SIDE, SIDE)
+    picture = random_picture(3).float()
+    picture[:, : SIDE // 2] = 0
+    for grey, more in ((True, 0.0), (False, 1.0)):
+        plain, twice, with_areas = (
+            float(targets(style, local_contrast=weight).at(1, grey)(picture, guide))
+            for weight in (0.0, 20.0, 10.0)
+        )
+        assert (with_areas > plain + more) == (not grey)
+        assert twice - plain == pytest.approx(2 * (with_areas - plain), rel=1e-4, abs=1e-6)
+
+
+def test_styles_of_a_mix_set_levels_by_their_shares() -> None:
+    """A style of share 0 sets none."""
+    flat, style = even(0.8).float().numpy(), random_picture().float().numpy()
+    scene, guide = Scene(0.6, 0.3, 1.0, "Y", 1.0, SIDE), torch.ones(SIDE, SIDE)
+    picture = even(0.8).float()
+
+    def lack(weights: list[float]) -> float:
+        def loss(areas: float) -> float:
+            config = Config()
+            config = config.replace(
+                losses=config.losses.replace(local_contrast=areas, nearest=0.0),
+                style=config.style.replace(weights=weights),
+            )
+            made = make_targets([flat, style], scene, config, torch.device("cpu"))
+            return float(made.at(1)(picture, guide))
+
+        return loss(10.0) - loss(0.0)
+
+    assert lack([1.0, 0.0]) == 0
+    assert lack([0.0, 1.0]) > 5
+    assert lack([0.5, 0.5]) > 5  # half the contrast is as far away

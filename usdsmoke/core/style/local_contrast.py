@@ -1,0 +1,123 @@
+"""Areas of a picture that are darker than those of a style, or have less contrast (decision 089).
+
+Statistics do not tell where marks belong: they gather on some of the smoke, and black on other
+parts. Areas of a picture that fall short of most areas of the style cost something; those that have
+more do not.
+"""
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from usdsmoke.core.style.style_image import alpha_of
+
+AREAS = 24  # radii of an area along the longer side of a picture: standard deviations of a Gaussian
+FINE = 3  # of them in a radius: contrast is that of all marks, and that of fine ones alone
+LEAST_RADIUS = 1.0  # pixels; finer marks are not looked for
+ABOVE = 1.15  # times the lower quartile of a style: its median, where all of it has marks
+WEIGHTS = (1.0, 0.5)  # of the contrast of all marks, and of fine ones
+DARK = 10.0  # of darkness
+_PER_RADIUS = 2.0  # samples along the radius of an area
+_CUT = 3.0  # radii after which a Gaussian ends
+_LEAST_WEIGHT = 1e-3
+_EVEN = 1 / 255  # contrast of even paint, which asks for none
+_LEAST_CONTRAST = 1e-3  # its root has a slope there
+
+
+@dataclass(frozen=True)
+class AreaLevels:
+    """What each area of a picture should have."""
+
+    radius: float  # of an area, pixels
+    value: float  # mean of the brightest channel, display-encoded
+    contrasts: tuple[float, ...]  # root mean square over all channels of what is finer than an area
+
+
+def area_contrasts(style: Tensor, radius: float) -> tuple[float, ...]:
+    """The contrasts that areas of a style have at least, for ``AreaLevels``.
+
+    Args:
+        style: display-encoded [H W 3], at the size of pictures; or [H W 4], whose alpha is 1 in the
+            areas that count.
+        radius: of an area, pixels.
+    """
+    alpha = alpha_of(style)
+    some = alpha is not None and bool((alpha >= 0.5).any())  # as ``style_image.in_areas``
+    counts = alpha if alpha is not None and some else torch.ones_like(style[..., 0])
+    with torch.no_grad():
+        _, contrasts, weight = _measured(style[..., :3], counts, radius)
+    found, weight = [], weight.flatten()
+    for contrast in contrasts.flatten(1):
+        order = contrast.argsort()
+        share = weight[order].cumsum(0) / weight.sum()
+        found.append(ABOVE * float(contrast[order[share >= 0.25][0]]))
+    return tuple(found)
+
+
+def area_distance(picture: Tensor, guide: Tensor, levels: AreaLevels) -> Tensor:
+    """How far areas of a picture are below the levels, scalar; 0 where none is.
+
+    The mean square of what they lack, as a share of each level.
+
+    Args:
+        picture: [H W 3], display-encoded.
+        guide: [H W] in [0, 1], where the smoke is.
+        levels: of the style, at the size of the picture.
+
+    Gradients: through ``picture``.
+    """
+    value, contrasts, weight = _measured(picture, guide, levels.radius)
+    total = DARK * _lacking(value, levels.value) if levels.value > 0 else torch.zeros_like(value)
+    for contrast, level, share in zip(contrasts, levels.contrasts, WEIGHTS, strict=False):
+        if level > _EVEN:
+            total = total + share * _lacking(contrast, level)
+    return (weight * total).sum() / weight.sum().clamp_min(_LEAST_WEIGHT)
+
+
+def _lacking(found: Tensor, level: float) -> Tensor:
+    return (1 - found / level).clamp_min(0).square()
+
+
+def _measured(picture: Tensor, guide: Tensor, radius: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Value [h w] and contrasts [B h w] of areas, and how much of each area counts [h w]."""
+    pixels, counts = picture.permute(2, 0, 1)[None], guide[None, None]
+    area = _Area(counts, radius)
+    coarse = F.interpolate(area.mean(pixels), pixels.shape[2:], mode="bilinear")
+    measured = [pixels.amax(1, keepdim=True), _energy(pixels - coarse)]
+    if radius / FINE >= LEAST_RADIUS:
+        fine = _Area(counts, radius / FINE, whole=True)
+        measured.append(_energy(pixels - fine.mean(pixels)))
+    found = area.mean(torch.cat(measured, 1))[0]
+    return found[0], found[1:].clamp_min(_LEAST_CONTRAST**2).sqrt(), area.weight[0, 0]
+
+
+def _energy(detail: Tensor) -> Tensor:
+    return detail.square().sum(1, keepdim=True)
+
+
+class _Area:
+    """Means over Gaussians, of what counts."""
+
+    def __init__(self, counts: Tensor, radius: float, whole: bool = False) -> None:
+        """``whole``: at every pixel; else at some for each radius."""
+        self._step = 1 if whole else max(1, int(radius / _PER_RADIUS))
+        self._counts, self._radius = counts, radius / self._step
+        self.weight = self._around(counts)
+
+    def mean(self, values: Tensor) -> Tensor:
+        """Means of [1 C H W], [1 C h w]."""
+        return self._around(values * self._counts) / self.weight.clamp_min(_LEAST_WEIGHT)
+
+    def _around(self, values: Tensor) -> Tensor:
+        if self._step > 1:
+            values = F.avg_pool2d(values, self._step, ceil_mode=True, count_include_pad=False)
+        reach = max(1, round(_CUT * self._radius))
+        place = torch.arange(-reach, reach + 1, dtype=values.dtype, device=values.device)
+        gauss = (-0.5 * (place / self._radius).square()).exp()
+        gauss, n = gauss / gauss.sum(), values.shape[1]
+        for shape, padding in (((1, 1, -1, 1), (reach, 0)), ((1, 1, 1, -1), (0, reach))):
+            kernel = gauss.view(shape).expand(n, -1, -1, -1)
+            values = F.conv2d(values, kernel, padding=padding, groups=n)
+        return values
