@@ -12,8 +12,8 @@ from usdsmoke.core.style.local_contrast import (
     DARK,
     WEIGHTS,
     AreaLevels,
-    area_contrasts,
     area_distance,
+    area_levels,
 )
 from usdsmoke.core.views.scene import Scene
 
@@ -65,8 +65,8 @@ def test_fine_stripes_cost_what_they_lack_in_contrast(share: float) -> None:
 def test_only_the_contrast_of_all_marks_sees_wide_ones() -> None:
     """A Gaussian of 2 pixels keeps .58 of the first wave of stripes of 12 pixels, which has .81 of
     their power, and hardly anything of the others: .58 of the contrast is finer."""
-    everything, fine = area_contrasts(stripes(0.2, 12), RADIUS)
-    narrow = area_contrasts(stripes(0.2, 2), RADIUS)
+    everything, fine = area_levels(stripes(0.2, 12), RADIUS).contrasts
+    narrow = area_levels(stripes(0.2, 2), RADIUS).contrasts
     assert narrow == pytest.approx([ABOVE * 0.2 * 3**0.5] * 2, rel=0.01)
     assert fine == pytest.approx(0.58 * narrow[0], rel=0.06)
     assert everything > 0.95 * narrow[0]
@@ -83,7 +83,7 @@ def test_black_that_is_gathered_costs_and_black_that_is_spread_does_not() -> Non
 
 def test_marks_that_are_gathered_cost_and_marks_everywhere_do_not() -> None:
     style = random_picture()
-    levels = AreaLevels(RADIUS, 0.0, area_contrasts(style, RADIUS))
+    levels = area_levels(style, RADIUS)
     half = style.clone()
     half[:, : SIDE // 2] = style.mean((0, 1))
     other = float(area_distance(random_picture(1), ALL, levels))
@@ -93,7 +93,7 @@ def test_marks_that_are_gathered_cost_and_marks_everywhere_do_not() -> None:
 
 def test_what_is_blurred_costs() -> None:
     style = random_picture()
-    levels = AreaLevels(RADIUS, 0.0, area_contrasts(style, RADIUS))
+    levels = area_levels(style, RADIUS)
     kernel = torch.ones(3, 1, 5, 5, dtype=torch.float64) / 25
     blurred = torch.nn.functional.conv2d(style.permute(2, 0, 1)[None], kernel, groups=3, padding=2)
     assert float(area_distance(blurred[0].permute(1, 2, 0), ALL, levels)) > 0.1
@@ -118,28 +118,34 @@ def test_a_style_s_areas_that_do_not_count_set_no_level() -> None:
     flat[:, : SIDE // 2] = 0.5
 
     def contrasts(pixels: Tensor, areas: Tensor) -> tuple[float, ...]:
-        return area_contrasts(torch.cat([pixels, areas[..., None]], dim=2), RADIUS)
+        return area_levels(torch.cat([pixels, areas[..., None]], dim=2), RADIUS).contrasts
 
     assert contrasts(flat, alpha) == pytest.approx(contrasts(style, alpha), rel=1e-12)
     assert contrasts(flat, ALL)[0] < 0.1 * contrasts(style, ALL)[0]
-    assert contrasts(style, 0 * ALL) == area_contrasts(style, RADIUS)  # too small to be seen
+    without = area_levels(style, RADIUS).contrasts
+    assert contrasts(style, 0 * ALL) == without  # areas that are too small to be seen
+
+
+def test_nine_of_ten_areas_of_a_style_are_bright_enough() -> None:
+    """Of a ramp from black to white, the darkest tenth sets the level."""
+    ramp = even(1.0) * torch.linspace(0, 1, SIDE, dtype=torch.float64)[:, None, None]
+    assert area_levels(ramp, 2.0).value == pytest.approx(0.1, abs=0.03)
 
 
 def test_an_even_style_asks_for_no_contrast() -> None:
-    levels = AreaLevels(RADIUS, 0.0, area_contrasts(even(0.5), RADIUS))
-    assert float(area_distance(even(0.3), ALL, levels)) == 0
+    assert float(area_distance(even(0.5), ALL, area_levels(even(0.5), RADIUS))) == 0
+    assert float(area_distance(even(0.0), ALL, area_levels(even(0.0), RADIUS))) == 0
 
 
 def test_fine_marks_of_less_than_a_pixel_are_not_looked_for() -> None:
-    assert len(area_contrasts(random_picture(), 2.9)) == 1
-    assert len(area_contrasts(random_picture(), 3.0)) == 2
+    assert len(area_levels(random_picture(), 2.9).contrasts) == 1
+    assert len(area_levels(random_picture(), 3.0).contrasts) == 2
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 3)])
 def test_pictures_smaller_than_an_area_are_finite(shape: tuple[int, int]) -> None:
     picture = torch.rand(*shape, 3, generator=torch.Generator().manual_seed(0))
-    contrasts = area_contrasts(picture, RADIUS)
-    found = area_distance(0.5 * picture, torch.ones(shape), AreaLevels(RADIUS, 0.5, contrasts))
+    found = area_distance(0.5 * picture, torch.ones(shape), area_levels(picture, RADIUS))
     assert 0 <= float(found) < 10
 
 

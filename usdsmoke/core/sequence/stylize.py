@@ -24,7 +24,7 @@ from usdsmoke.core.sequence.frame_state import PaintedFrame, WindowContext, make
 from usdsmoke.core.sequence.start import Carried, CoarseStart, on_device
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.srgb import decode_srgb, encode_srgb
-from usdsmoke.core.views.dark_areas import lift_dark_areas
+from usdsmoke.core.views.dark_areas import OF_STYLE, lift_dark_areas
 from usdsmoke.core.views.grazing import smooth_grazing
 from usdsmoke.core.views.joined import join_smoke
 from usdsmoke.core.views.occlusion import find_relief, shaded
@@ -156,7 +156,7 @@ def _finished(frame: PaintedFrame) -> PaintedFrame:
         colours = smooth_grazing(colours, painted, joined, frame.scene.gamma_w, config.grazing)
     if config.occlusion:
         colours = shaded(colours, find_relief(joined, painted.positions), config.occlusion)
-    if level := frame.targets.dark_level:
+    if level := min(config.lift, OF_STYLE * frame.targets.value):
         hue = frame.targets.hue_at(level)
         light = None if config.target == "both" else _scattered(frame)
         if light is None:

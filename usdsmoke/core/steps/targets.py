@@ -19,7 +19,7 @@ from usdsmoke.core.smoke.memory import run_on
 from usdsmoke.core.smoke.schedule import OCTAVE_SCALE
 from usdsmoke.core.smoke.srgb import decode_srgb, luma
 from usdsmoke.core.style.hues import Hues, count_hues
-from usdsmoke.core.style.local_contrast import AREAS, AreaLevels, area_contrasts
+from usdsmoke.core.style.local_contrast import AREAS, AreaLevels, area_levels
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
 from usdsmoke.core.style.style_areas import marked_areas
 from usdsmoke.core.style.style_image import adjust_tones, counted_pixels, match_grey, scale_style
@@ -27,7 +27,6 @@ from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
 
-OF_STYLE = 0.9  # of the median value of a style, which the level of dark areas is no brighter than
 _NEAR = 0.08  # standard deviation of a brightest channel that counts as near a value
 _FAR = 1e-3  # of the weight of a pixel there, which all have
 
@@ -50,8 +49,8 @@ class StyleFeatures:
         self._pixels = counted_pixels(torch.as_tensor(np.ascontiguousarray(pixels)))
         self._scaled: Callable[[int], Tensor] = cache(partial(scaled, pixels))
         self._make_target = make_target
-        #: factor, radius in pixels -> contrasts of areas, see ``AreaLevels``
-        self.contrasts: Callable[[int, float], tuple[float, ...]] = cache(self._contrasts)
+        #: factor, radius in pixels -> what areas have at that size
+        self.areas: Callable[[int, float], AreaLevels] = cache(self._areas)
         #: value -> see ``_sum_at``
         self.sum_at: Callable[[float], Tensor] = cache(self._sum_at)
         #: factor, grey -> what pictures 1/factor of full size are compared with
@@ -86,8 +85,8 @@ class StyleFeatures:
     def _target(self, factor: int, grey: bool) -> StyleTarget:
         return self._make_target(self._scaled(factor), grey)
 
-    def _contrasts(self, factor: int, radius: float) -> tuple[float, ...]:
-        return area_contrasts(self._scaled(factor), radius)
+    def _areas(self, factor: int, radius: float) -> AreaLevels:
+        return area_levels(self._scaled(factor), radius)
 
     def _sum_at(self, value: float) -> Tensor:
         """Sum [3] of the colours of pixels, display-encoded, over the number of pixels, at the size
@@ -126,7 +125,6 @@ class StyleTargets:
     shares: tuple[float, ...]  # of the images, adding up to 1
     losses: LossesConfig
     device: torch.device
-    lift: float = 0.0  # ``colour.lift``
     radius: float = 1.0  # of an area of full pictures, pixels
 
     def weighted(self, config: StyleConfig) -> "StyleTargets":
@@ -157,11 +155,6 @@ class StyleTargets:
     def value(self) -> float:
         """The styles' medians of the brightest channel, by their shares, display-encoded."""
         return sum(share * image.value for share, image in self._used)
-
-    @property
-    def dark_level(self) -> float:
-        """The value that dark areas are brought to, display-encoded; 0: they stay."""
-        return min(self.lift, OF_STYLE * self.value)
 
     def hue_at(self, value: float) -> Tensor:
         """The styles' mean colour where their brightest channel is near a value, as bright as can
@@ -206,11 +199,7 @@ class StyleTargets:
         if not self.losses.local_contrast:
             return None
         radius = self.radius / factor
-        levels = [
-            [share * level for level in image.contrasts(factor, radius)]
-            for share, image in self._used
-        ]
-        return AreaLevels(radius, self.dark_level, tuple(map(sum, zip(*levels, strict=True))))
+        return AreaLevels.mean([(s, image.areas(factor, radius)) for s, image in self._used])
 
     def prepare(self, iterations: Mapping[str, Sequence[int]]) -> None:
         """Make what steps compare with at the octaves that have iterations, shared among threads.
@@ -289,8 +278,7 @@ def make_targets(
         StyleFeatures(_prepared(pixels, config.style), scaled, make_target) for pixels in styles
     )
     shares = tuple(style_shares(config.style, len(images)))
-    lift, radius = config.colour.lift, scene.image_size / AREAS
-    return StyleTargets(images, shares, config.losses, device, lift, radius)
+    return StyleTargets(images, shares, config.losses, device, scene.image_size / AREAS)
 
 
 def _prepared(pixels: np.ndarray, config: StyleConfig) -> np.ndarray:

@@ -5,6 +5,7 @@ parts. Areas of a picture that fall short of most areas of the style cost someth
 more do not.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -19,6 +20,7 @@ LEAST_RADIUS = 1.0  # pixels; finer marks are not looked for
 ABOVE = 1.15  # times the lower quartile of a style: its median, where all of it has marks
 WEIGHTS = (1.0, 0.5)  # of the contrast of all marks, and of fine ones
 DARK = 10.0  # of darkness
+DARKEST = 0.1  # share of a style's areas that are darker than those of pictures should be
 _PER_RADIUS = 2.0  # samples along the radius of an area
 _CUT = 3.0  # radii after which a Gaussian ends
 _LEAST_WEIGHT = 1e-3
@@ -28,15 +30,23 @@ _LEAST_CONTRAST = 1e-3  # its root has a slope there
 
 @dataclass(frozen=True)
 class AreaLevels:
-    """What each area of a picture should have."""
+    """What areas have at least."""
 
     radius: float  # of an area, pixels
     value: float  # mean of the brightest channel, display-encoded
     contrasts: tuple[float, ...]  # root mean square over all channels of what is finer than an area
 
+    @staticmethod
+    def mean(parts: Sequence[tuple[float, "AreaLevels"]]) -> "AreaLevels":
+        """Of several styles, with their shares, at one radius."""
+        value = sum(share * part.value for share, part in parts)
+        scaled = [[share * level for level in part.contrasts] for share, part in parts]
+        lines = zip(*scaled, strict=True)
+        return AreaLevels(parts[0][1].radius, value, tuple(map(sum, lines)))
 
-def area_contrasts(style: Tensor, radius: float) -> tuple[float, ...]:
-    """The contrasts that areas of a style have at least, for ``AreaLevels``.
+
+def area_levels(style: Tensor, radius: float) -> AreaLevels:
+    """What areas of a style have: nine of ten are as bright, and about half have the contrast.
 
     Args:
         style: display-encoded [H W 3], at the size of pictures; or [H W 4], whose alpha is 1 in the
@@ -47,13 +57,15 @@ def area_contrasts(style: Tensor, radius: float) -> tuple[float, ...]:
     some = alpha is not None and bool((alpha >= 0.5).any())  # as ``style_image.in_areas``
     counts = alpha if alpha is not None and some else torch.ones_like(style[..., 0])
     with torch.no_grad():
-        _, contrasts, weight = _measured(style[..., :3], counts, radius)
-    found, weight = [], weight.flatten()
-    for contrast in contrasts.flatten(1):
-        order = contrast.argsort()
-        share = weight[order].cumsum(0) / weight.sum()
-        found.append(ABOVE * float(contrast[order[share >= 0.25][0]]))
-    return tuple(found)
+        value, contrasts, weight = _measured(style[..., :3], counts, radius)
+    found = [ABOVE * _quantile(contrast, weight, 0.25) for contrast in contrasts]
+    return AreaLevels(radius, _quantile(value, weight, DARKEST), tuple(found))
+
+
+def _quantile(values: Tensor, weight: Tensor, share: float) -> float:
+    order = values.flatten().argsort()
+    below = weight.flatten()[order].cumsum(0) / weight.sum()
+    return float(values.flatten()[order[below >= share][0]])
 
 
 def area_distance(picture: Tensor, guide: Tensor, levels: AreaLevels) -> Tensor:
@@ -69,7 +81,8 @@ def area_distance(picture: Tensor, guide: Tensor, levels: AreaLevels) -> Tensor:
     Gradients: through ``picture``.
     """
     value, contrasts, weight = _measured(picture, guide, levels.radius)
-    total = DARK * _lacking(value, levels.value) if levels.value > 0 else torch.zeros_like(value)
+    dark = levels.value > _EVEN
+    total = DARK * _lacking(value, levels.value) if dark else torch.zeros_like(value)
     for contrast, level, share in zip(contrasts, levels.contrasts, WEIGHTS, strict=False):
         if level > _EVEN:
             total = total + share * _lacking(contrast, level)

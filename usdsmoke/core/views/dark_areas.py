@@ -15,6 +15,7 @@ from usdsmoke.core.smoke.spread import Surroundings
 from usdsmoke.core.views.joined import JoinedSmoke
 
 STEEPEST = 5.0  # times as bright: more would show noise
+OF_STYLE = 0.9  # of the median value of a style, which the level is no brighter than
 AREA = 3  # means over three voxels along each axis, a Gaussian of 1.4 joined voxels
 
 
