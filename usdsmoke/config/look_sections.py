@@ -224,7 +224,7 @@ class ColourConfig(Section):
         "noise", "first colours: density times white noise (noise), or plain density (density)",
         request="colourInit")
     occlusion: float = setting(
-        0.8, "amount of ambient occlusion in the emission: smoke in the grooves between lumps is "
+        0.5, "amount of ambient occlusion in the emission: smoke in the grooves between lumps is "
         "darker, and lumps are brighter on top; 0: none", ge=0, le=1)
     lift: float = setting(
         0.45, "brightest channel that dark areas are lifted towards, with the marks in them, so "

@@ -17,10 +17,9 @@ from usdsmoke.core.style.style_image import alpha_of
 AREAS = 24  # radii of an area along the longer side of a picture: standard deviations of a Gaussian
 FINE = 3  # of them in a radius: contrast is that of all marks, and that of fine ones alone
 LEAST_RADIUS = 1.0  # pixels; finer marks are not looked for
-ABOVE = 1.15  # times the lower quartile of a style: its median, where all of it has marks
-WEIGHTS = (1.0, 0.5)  # of the contrast of all marks, and of fine ones
-DARK = 10.0  # of darkness
-DARKEST = 0.1  # share of a style's areas that are darker than those of pictures should be
+WEIGHTS = (1.0, 0.25)  # of the contrast of all marks, and of fine ones
+DARK = 3.0  # of darkness
+LOW, DARKEST = 0.25, 0.1  # shares of a style's areas with less contrast, or that are darker
 _PER_RADIUS = 2.0  # samples along the radius of an area
 _CUT = 3.0  # radii after which a Gaussian ends
 _LEAST_WEIGHT = 1e-3
@@ -46,7 +45,7 @@ class AreaLevels:
 
 
 def area_levels(style: Tensor, radius: float) -> AreaLevels:
-    """What areas of a style have: nine of ten are as bright, and about half have the contrast.
+    """What areas of a style have: nine in ten are as bright, and three in four have the contrast.
 
     Args:
         style: display-encoded [H W 3], at the size of pictures; or [H W 4], whose alpha is 1 in the
@@ -58,7 +57,7 @@ def area_levels(style: Tensor, radius: float) -> AreaLevels:
     counts = alpha if alpha is not None and some else torch.ones_like(style[..., 0])
     with torch.no_grad():
         value, contrasts, weight = _measured(style[..., :3], counts, radius)
-    found = [ABOVE * _quantile(contrast, weight, 0.25) for contrast in contrasts]
+    found = [_quantile(contrast, weight, LOW) for contrast in contrasts]
     return AreaLevels(radius, _quantile(value, weight, DARKEST), tuple(found))
 
 
