@@ -42,9 +42,9 @@ def even(colour: float | list[float]) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("value", "expected"),
-    [(0.0, 0.0), (0.01, 0.05 / 1.04), (0.1, 0.3), (0.3, 0.3), (0.8, 0.8), (1.4, 1.4)],
+    [(0.0, 0.0), (0.01, 0.09 / 1.08), (0.1, 0.3), (0.3, 0.3), (0.8, 0.8), (1.4, 1.4)],
 )
-def test_even_smoke_is_lifted_to_the_level_or_to_five_times_its_brightness(value, expected) -> None:
+def test_even_smoke_is_lifted_to_the_level_or_to_nine_times_its_brightness(value, expected) -> None:
     assert lifted(even(value)) == pytest.approx(even(expected), abs=2e-5)
 
 
@@ -64,14 +64,16 @@ def test_marks_in_a_dark_area_are_seen() -> None:
     colours[::3] = 0.09
     found = lifted(colours)
     front = np.s_[8:24, 8:24, N - 1, 0]
-    assert found[front].mean() == pytest.approx(5 * 0.0633 / (1 + 4 * 0.0633), rel=0.05)
+    assert found[front].mean() == pytest.approx(0.3, rel=0.05)
     assert np.ptp(found[front]) > 3 * np.ptp(colours[front])
 
 
 def test_what_is_added_has_the_hue_that_the_style_has_at_the_level() -> None:
     dark = even([0.02, 0.02, 0.06])
     added = lifted(dark, hue=torch.tensor([1.0, 0.5, 0.0])) - dark
-    assert added[..., 0] == pytest.approx(0.3 / 1.24 - 0.06, abs=1e-4)  # five times as bright
+    first = 3 * 0.06 / 1.12 - 0.06  # three times as bright; then red is the brightest channel
+    second = 3 * (0.02 + first) / (1 + 2 * (0.02 + first)) - (0.02 + first)
+    assert added[..., 0] == pytest.approx(first + second, abs=1e-4)
     assert (
         added[..., 1] == pytest.approx(0.5 * added[..., 0], abs=1e-6)
         and abs(added[..., 2]).max() < 1e-6
