@@ -1,24 +1,24 @@
 """What areas of a picture lack beside those of a style: contrast and brightness."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from usdsmoke.config.settings import Config
-from usdsmoke.core.steps.targets import StyleTargets, make_targets
-from usdsmoke.core.style.local_contrast import (
-    DARK,
-    WEIGHTS,
-    AreaLevels,
-    area_distance,
-    area_levels,
-)
+from usdsmoke.core.steps.targets import make_targets
+from usdsmoke.core.style import local_contrast
+from usdsmoke.core.style.local_contrast import DARK, WEIGHTS, AreaLevels, area_distance, area_levels
+from usdsmoke.core.style.style_image import scale_style
 from usdsmoke.core.views.scene import Scene
 
 SIDE = 96
 RADIUS = 6.0
 ALL = torch.ones(SIDE, SIDE, dtype=torch.float64)
+SCENE = Scene(0.6, 0.3, 1.0, "Y", 1.0, SIDE)
 
 
 def even(value: float, side: int = SIDE) -> Tensor:
@@ -52,13 +52,15 @@ def test_the_brightest_channel_tells_what_is_dark() -> None:
     )
 
 
+@pytest.mark.parametrize("kind", [0, 1])
 @pytest.mark.parametrize("share", [0.25, 0.5, 1.0, 2.0])
-def test_fine_stripes_cost_what_they_lack_in_contrast(share: float) -> None:
+def test_fine_stripes_cost_what_they_lack_in_contrast(share: float, kind: int) -> None:
     """Both contrasts of stripes of two pixels are those of all their pixels."""
-    wanted = 0.2 * 3**0.5  # of three channels
-    levels = AreaLevels(RADIUS, 0.0, (wanted, wanted))
+    wanted = [0.0, 0.0]
+    wanted[kind] = 0.2 * 3**0.5  # of three channels
+    levels = AreaLevels(RADIUS, 0.0, (wanted[0], wanted[1]))
     found = float(area_distance(stripes(0.2 * share, 2), ALL, levels))
-    assert found == pytest.approx(sum(WEIGHTS) * max(0.0, 1 - share) ** 2, abs=2e-3)
+    assert found == pytest.approx(WEIGHTS[kind] * max(0.0, 1 - share) ** 2, abs=1e-3)
 
 
 def test_only_the_contrast_of_all_marks_sees_wide_ones() -> None:
@@ -110,6 +112,22 @@ def test_only_the_smoke_counts() -> None:
     assert float(area_distance(picture, torch.zeros_like(guide), levels)) == 0
 
 
+@pytest.mark.parametrize("thin", [1.0, 0.05, 1e-6])
+def test_smoke_of_a_part_of_the_picture_costs_as_much_as_of_the_whole(thin: float) -> None:
+    guide = thin * ALL
+    guide[:, : SIDE // 2] = 0
+    for value, cost in ((0.5, 0.0), (0.1, DARK * 0.75**2)):
+        found = float(area_distance(even(value), guide, AreaLevels(RADIUS, 0.4, (0.0, 0.0))))
+        assert found == pytest.approx(cost, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("side", [192, 193, 199])
+def test_a_ramp_has_no_contrast_wherever_the_picture_ends(side: int) -> None:
+    """Means at pixels lie where the pixels are; a side may be no multiple of a cell's."""
+    ramp = even(1.0, side) * torch.linspace(0, 1, side, dtype=torch.float64)[:, None]
+    assert area_levels(ramp, 8.0).contrasts[0] < 0.006
+
+
 def test_a_style_s_areas_that_do_not_count_set_no_level() -> None:
     style, alpha = random_picture(), ALL.clone()
     alpha[:, : SIDE // 2] = 0
@@ -136,6 +154,12 @@ def test_an_even_style_asks_for_no_contrast() -> None:
     assert float(area_distance(even(0.0), ALL, area_levels(even(0.0), RADIUS))) == 0
 
 
+def test_what_is_hardly_seen_in_a_style_costs_little() -> None:
+    grain = even(0.5) + (torch.rand(SIDE, SIDE, 3).double() - 0.5) * (4 / 255)
+    assert float(area_distance(even(0.5), ALL, area_levels(grain, RADIUS))) < 0.3
+    assert float(area_distance(even(0.005), ALL, area_levels(even(0.01), RADIUS))) < 0.2
+
+
 def test_fine_marks_of_less_than_a_pixel_are_not_looked_for() -> None:
     assert len(area_levels(random_picture(), 2.9).contrasts) == 1
     assert len(area_levels(random_picture(), 3.0).contrasts) == 2
@@ -159,43 +183,51 @@ def test_gradients_are_those_of_finite_differences() -> None:
 # In a run
 
 
-def targets(style: Tensor, **losses: float) -> StyleTargets:
-    config = Config().replace(losses=Config().losses.replace(**losses))
-    scene = Scene(0.6, 0.3, 1.0, "Y", 1.0, SIDE)
-    return make_targets([style.float().numpy()], scene, config, torch.device("cpu"))
+def loss_of(picture: Tensor, styles: Sequence[Tensor], factor: int = 1, **settings: Any) -> float:
+    """Of a picture full of smoke; the nearest features, which grey has none of, are left out."""
+    grey = settings.pop("grey", False)
+    config = Config()
+    weights = settings.pop("weights", ())
+    config = config.replace(
+        losses=config.losses.replace(**{"nearest": 0.0, **settings}),
+        style=config.style.replace(weights=weights),
+    )
+    pixels = [style.float().numpy() for style in styles]
+    made = make_targets(pixels, SCENE, config, torch.device("cpu"))
+    return float(made.at(factor, grey)(picture.float(), torch.ones(picture.shape[:2])))
 
 
-def test_the_colour_step_looks_at_areas_and_the_shape_step_does_not() -> None:
-    style, guide = random_picture(), torch.ones(SIDE, SIDE)
-    picture = random_picture(3).float()
-    picture[:, : SIDE // 2] = 0
-    for grey, more in ((True, 0.0), (False, 1.0)):
-        plain, twice, with_areas = (
-            float(targets(style, local_contrast=weight).at(1, grey)(picture, guide))
-            for weight in (0.0, 20.0, 10.0)
-        )
-        assert (with_areas > plain + more) == (not grey)
-        assert twice - plain == pytest.approx(2 * (with_areas - plain), rel=1e-4, abs=1e-6)
+def lack_of(picture: Tensor, styles: Sequence[Tensor], factor: int = 1, **settings: Any) -> float:
+    """What the term adds with its weight of 10."""
+    plain = loss_of(picture, styles, factor, local_contrast=0.0, **settings)
+    return loss_of(picture, styles, factor, **settings) - plain
+
+
+@pytest.mark.parametrize("factor", [1, 2])
+def test_the_colour_step_compares_areas_of_a_24th_of_the_picture(factor: int) -> None:
+    style, side = random_picture(), SIDE // factor
+    picture = random_picture(3)[:side, :side].clone()
+    picture[:, : side // 2] = 0
+    small = scale_style(style.float().numpy(), side, Config().style, torch.zeros(()))
+    levels, guide = area_levels(small, side / 24), torch.ones(side, side)
+    wanted = 10 * float(area_distance(picture.float(), guide, levels))
+    assert wanted > 1
+    assert lack_of(picture, [style], factor) == pytest.approx(wanted, rel=1e-3)
+    assert lack_of(picture, [style], factor, style=3.0) == pytest.approx(3 * wanted, rel=1e-3)
+    assert lack_of(picture, [style], factor, grey=True) == 0
+
+
+def test_nothing_is_measured_without_weight(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("areas were measured")
+
+    monkeypatch.setattr(local_contrast, "_measured", refuse)
+    assert loss_of(random_picture(1), [random_picture()], local_contrast=0.0) > 0
 
 
 def test_styles_of_a_mix_set_levels_by_their_shares() -> None:
-    """A style of share 0 sets none."""
-    flat, style = even(0.8).float().numpy(), random_picture().float().numpy()
-    scene, guide = Scene(0.6, 0.3, 1.0, "Y", 1.0, SIDE), torch.ones(SIDE, SIDE)
-    picture = even(0.8).float()
-
-    def lack(weights: list[float]) -> float:
-        def loss(areas: float) -> float:
-            config = Config()
-            config = config.replace(
-                losses=config.losses.replace(local_contrast=areas, nearest=0.0),
-                style=config.style.replace(weights=weights),
-            )
-            made = make_targets([flat, style], scene, config, torch.device("cpu"))
-            return float(made.at(1)(picture, guide))
-
-        return loss(10.0) - loss(0.0)
-
-    assert lack([1.0, 0.0]) == 0
-    assert lack([0.0, 1.0]) > 5
-    assert lack([0.5, 0.5]) > 5  # half the contrast is as far away
+    dark, bright = even(0.2), even(0.8)
+    for weights, level in (([1.0, 1.0], 0.5), ([1.0, 3.0], 0.65), ([1.0, 0.0], 0.2)):
+        wanted = 10 * DARK * max(0.0, 1 - 0.4 / level) ** 2
+        found = lack_of(even(0.4), [dark, bright], weights=weights)
+        assert found == pytest.approx(wanted, rel=0.01, abs=1e-3)

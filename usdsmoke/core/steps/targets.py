@@ -47,7 +47,7 @@ class StyleFeatures:
         make_target: Callable[[Tensor, bool], StyleTarget],
     ) -> None:
         self._pixels = counted_pixels(torch.as_tensor(np.ascontiguousarray(pixels)))
-        self._scaled: Callable[[int], Tensor] = cache(partial(scaled, pixels))
+        self._scaled = partial(scaled, pixels)
         self._make_target = make_target
         #: factor, radius in pixels -> what areas have at that size
         self.areas: Callable[[int, float], AreaLevels] = cache(self._areas)
@@ -125,7 +125,7 @@ class StyleTargets:
     shares: tuple[float, ...]  # of the images, adding up to 1
     losses: LossesConfig
     device: torch.device
-    radius: float = 1.0  # of an area of full pictures, pixels
+    radius: float  # of an area of full pictures, pixels
 
     def weighted(self, config: StyleConfig) -> "StyleTargets":
         """The same images with other ``weights``.
@@ -198,8 +198,10 @@ class StyleTargets:
         """What areas of pictures 1/factor of full size should have."""
         if not self.losses.local_contrast:
             return None
-        radius = self.radius / factor
-        return AreaLevels.mean([(s, image.areas(factor, radius)) for s, image in self._used])
+        return AreaLevels.mean([(s, self._areas_of(image, factor)) for s, image in self._used])
+
+    def _areas_of(self, image: StyleFeatures, factor: int) -> AreaLevels:
+        return image.areas(factor, self.radius / factor)
 
     def prepare(self, iterations: Mapping[str, Sequence[int]]) -> None:
         """Make what steps compare with at the octaves that have iterations, shared among threads.
@@ -216,16 +218,17 @@ class StyleTargets:
         pairs = [
             (image, of) for of in sorted(wanted) for _, image in self._used
         ]  # large ones first
-        run_on(self.device, [partial(_make, image, *of) for image, of in pairs])
+        run_on(self.device, [partial(self._make, image, *of) for image, of in pairs])
+
+    def _make(self, image: StyleFeatures, factor: int, grey: bool) -> None:
+        image.target(factor, grey)
+        if self.losses.local_contrast and not grey:
+            self._areas_of(image, factor)
 
     @property
     def _used(self) -> list[tuple[float, StyleFeatures]]:
         pairs = zip(self.shares, self.images, strict=True)
         return [(share, image) for share, image in pairs if share > 0]
-
-
-def _make(image: StyleFeatures, factor: int, grey: bool) -> None:
-    image.target(factor, grey)
 
 
 @dataclass(frozen=True)

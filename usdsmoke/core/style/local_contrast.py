@@ -20,11 +20,10 @@ LEAST_RADIUS = 1.0  # pixels; finer marks are not looked for
 WEIGHTS = (1.0, 0.25)  # of the contrast of all marks, and of fine ones
 DARK = 3.0  # of darkness
 LOW, DARKEST = 0.25, 0.1  # shares of a style's areas with less contrast, or that are darker
-_PER_RADIUS = 2.0  # samples along the radius of an area
+FAINT = 0.03  # a level that is hardly seen: what lacks is a share of this or of the level
+_PER_RADIUS = 2.0  # samples along the radius of an area, at least
 _CUT = 3.0  # radii after which a Gaussian ends
-_LEAST_WEIGHT = 1e-3
-_EVEN = 1 / 255  # contrast of even paint, which asks for none
-_LEAST_CONTRAST = 1e-3  # its root has a slope there
+_LEAST_CONTRAST = 1e-3  # of pictures: a root has no slope at 0
 
 
 @dataclass(frozen=True)
@@ -39,9 +38,9 @@ class AreaLevels:
     def mean(parts: Sequence[tuple[float, "AreaLevels"]]) -> "AreaLevels":
         """Of several styles, with their shares, at one radius."""
         value = sum(share * part.value for share, part in parts)
-        scaled = [[share * level for level in part.contrasts] for share, part in parts]
-        lines = zip(*scaled, strict=True)
-        return AreaLevels(parts[0][1].radius, value, tuple(map(sum, lines)))
+        by_style = [[share * level for level in part.contrasts] for share, part in parts]
+        contrasts = tuple(map(sum, zip(*by_style, strict=True)))
+        return AreaLevels(parts[0][1].radius, value, contrasts)
 
 
 def area_levels(style: Tensor, radius: float) -> AreaLevels:
@@ -51,6 +50,8 @@ def area_levels(style: Tensor, radius: float) -> AreaLevels:
         style: display-encoded [H W 3], at the size of pictures; or [H W 4], whose alpha is 1 in the
             areas that count.
         radius: of an area, pixels.
+
+    Gradients: none.
     """
     alpha = alpha_of(style)
     some = alpha is not None and bool((alpha >= 0.5).any())  # as ``style_image.in_areas``
@@ -80,27 +81,24 @@ def area_distance(picture: Tensor, guide: Tensor, levels: AreaLevels) -> Tensor:
     Gradients: through ``picture``.
     """
     value, contrasts, weight = _measured(picture, guide, levels.radius)
-    dark = levels.value > _EVEN
-    total = DARK * _lacking(value, levels.value) if dark else torch.zeros_like(value)
-    for contrast, level, share in zip(contrasts, levels.contrasts, WEIGHTS, strict=False):
-        if level > _EVEN:
-            total = total + share * _lacking(contrast, level)
-    return (weight * total).sum() / weight.sum().clamp_min(_LEAST_WEIGHT)
+    total = DARK * _lacking(value, levels.value)
+    weights = WEIGHTS[: len(contrasts)]
+    for share, contrast, level in zip(weights, contrasts, levels.contrasts, strict=True):
+        total = total + share * _lacking(contrast, level)
+    return (weight * total).sum() / weight.sum().clamp_min(torch.finfo(weight.dtype).tiny)
 
 
 def _lacking(found: Tensor, level: float) -> Tensor:
-    return (1 - found / level).clamp_min(0).square()
+    return ((level - found) / max(level, FAINT)).clamp_min(0).square()
 
 
 def _measured(picture: Tensor, guide: Tensor, radius: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Value [h w] and contrasts [B h w] of areas, and how much of each area counts [h w]."""
+    """Value [h w] and contrasts [1 or 2, h w] of areas, and how much of each counts [h w]."""
     pixels, counts = picture.permute(2, 0, 1)[None], guide[None, None]
     area = _Area(counts, radius)
-    coarse = F.interpolate(area.mean(pixels), pixels.shape[2:], mode="bilinear")
-    measured = [pixels.amax(1, keepdim=True), _energy(pixels - coarse)]
+    measured = [pixels.amax(1, keepdim=True), _energy(pixels - area.at_pixels(pixels))]
     if radius / FINE >= LEAST_RADIUS:
-        fine = _Area(counts, radius / FINE, whole=True)
-        measured.append(_energy(pixels - fine.mean(pixels)))
+        measured.append(_energy(pixels - _Area(counts, radius / FINE).at_pixels(pixels)))
     found = area.mean(torch.cat(measured, 1))[0]
     return found[0], found[1:].clamp_min(_LEAST_CONTRAST**2).sqrt(), area.weight[0, 0]
 
@@ -110,26 +108,40 @@ def _energy(detail: Tensor) -> Tensor:
 
 
 class _Area:
-    """Means over Gaussians, of what counts."""
+    """Means over Gaussians, of the pixels that count [1 1 H W], in cells of some pixels."""
 
-    def __init__(self, counts: Tensor, radius: float, whole: bool = False) -> None:
-        """``whole``: at every pixel; else at some for each radius."""
-        self._step = 1 if whole else max(1, int(radius / _PER_RADIUS))
+    def __init__(self, counts: Tensor, radius: float) -> None:
+        self._step = max(1, int(radius / _PER_RADIUS))
         self._counts, self._radius = counts, radius / self._step
         self.weight = self._around(counts)
 
     def mean(self, values: Tensor) -> Tensor:
-        """Means of [1 C H W], [1 C h w]."""
-        return self._around(values * self._counts) / self.weight.clamp_min(_LEAST_WEIGHT)
+        """Means of [1 C H W], one for each cell [1 C h w].
+
+        Gradients: through ``values``.
+        """
+        tiny = torch.finfo(values.dtype).tiny
+        return self._around(values * self._counts) / self.weight.clamp_min(tiny)
+
+    def at_pixels(self, values: Tensor) -> Tensor:
+        """The same at every pixel [1 C H W], linear between cells."""
+        cells, (height, width) = self.mean(values), values.shape[2:]
+        if self._step == 1:
+            return cells
+        size = [side * self._step for side in cells.shape[2:]]
+        return F.interpolate(cells, size, mode="bilinear")[..., :height, :width]
 
     def _around(self, values: Tensor) -> Tensor:
+        """Sums over Gaussians; beyond the picture, nothing counts."""
         if self._step > 1:
-            values = F.avg_pool2d(values, self._step, ceil_mode=True, count_include_pad=False)
+            height, width = values.shape[2:]
+            padding = (0, -width % self._step, 0, -height % self._step)
+            values = F.avg_pool2d(F.pad(values, padding), self._step)
         reach = max(1, round(_CUT * self._radius))
         place = torch.arange(-reach, reach + 1, dtype=values.dtype, device=values.device)
         gauss = (-0.5 * (place / self._radius).square()).exp()
         gauss, n = gauss / gauss.sum(), values.shape[1]
-        for shape, padding in (((1, 1, -1, 1), (reach, 0)), ((1, 1, 1, -1), (0, reach))):
+        for shape, beyond in (((1, 1, -1, 1), (reach, 0)), ((1, 1, 1, -1), (0, reach))):
             kernel = gauss.view(shape).expand(n, -1, -1, -1)
-            values = F.conv2d(values, kernel, padding=padding, groups=n)
+            values = F.conv2d(values, kernel, padding=beyond, groups=n)
         return values

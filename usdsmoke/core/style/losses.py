@@ -14,8 +14,7 @@ convergence:
 Instead of Gram matrices, or in addition, the distributions of the features are compared: channel by
 channel (the histogram loss [Risser2017]), or along random directions (sliced Wasserstein
 [Heitz2021]). The deep layers are also drawn to the nearest features of the style [Li2016], and each
-feature of the style pulls the nearest one of the picture [Simakov2008]. Areas of a picture that
-have less contrast than the style's cost something too (``local_contrast``).
+feature of the style pulls the nearest one of the picture [Simakov2008].
 """
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -14,8 +14,8 @@ from usdsmoke.core.smoke.memory import sums_of
 from usdsmoke.core.smoke.spread import Surroundings
 from usdsmoke.core.views.joined import JoinedSmoke
 
-ROUNDS = 2  # half of what an area lacks is lacked by the smoke around it, and comes later
-STEEPEST = 3.0  # times as bright in a round: more would show noise
+STEEPEST = 3.0  # times as bright in a round, as more would bring up single dark voxels
+ROUNDS = 2  # marks are lifted by less than an even area of their mean: a second round comes nearer
 OF_STYLE = 0.9  # of the median value of a style, which the level is no brighter than
 AREA = 3  # means over three voxels along each axis, a Gaussian of 1.4 joined voxels
 
