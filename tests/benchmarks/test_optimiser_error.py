@@ -29,7 +29,7 @@ def test_what_is_left_agrees_with_a_run_four_times_as_long(step: str, limit: str
     # not white noise: blending takes its hues away, the more of them the longer a run
     style = paint_styles(["strokes"], 32)["strokes"]
     row = measure_step(frame_of(puff(16)), style, config, step, limit)
-    assert row.true > 0.015, row  # .0195 to .021 in the shape step, by the processor
+    assert row.true > 0.015, row  # the shape step has .0195 on some processors
     assert 1 / WITHIN < row.ratio < WITHIN, row
     if limit == "stopped early":
         assert row.ended == "converged", row
