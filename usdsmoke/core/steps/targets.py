@@ -27,6 +27,7 @@ from usdsmoke.core.views.lighting import Lighting
 from usdsmoke.core.views.scene import Scene
 from usdsmoke.core.views.visibility import EffectMask
 
+Target = tuple[StyleTarget, AreaLevels | None]  # None: areas are not looked at
 _NEAR = 0.08  # standard deviation of a brightest channel that counts as near a value
 _FAR = 1e-3  # of the weight of a pixel there, which all have
 
@@ -36,25 +37,23 @@ class StyleFeatures:
 
     Args:
         pixels: display-encoded [H W 3] in [0, 1]; or [H W 4], whose alpha is 1 where they count.
-        scaled: pixels, factor -> those at the size of pictures 1/factor of full size.
-        make_target: scaled pixels, grey -> what pictures of that size are compared with.
+        make_target: pixels, factor, grey -> what pictures 1/factor of full size are compared with,
+            and what their areas should have.
+        scaled: pixels -> those at the size of full pictures.
     """
 
     def __init__(
         self,
         pixels: np.ndarray,
-        scaled: Callable[[np.ndarray, int], Tensor],
-        make_target: Callable[[Tensor, bool], StyleTarget],
+        make_target: Callable[[np.ndarray, int, bool], Target],
+        scaled: Callable[[np.ndarray], Tensor],
     ) -> None:
         self._pixels = counted_pixels(torch.as_tensor(np.ascontiguousarray(pixels)))
         self._scaled = partial(scaled, pixels)
-        self._make_target = make_target
-        #: factor, radius in pixels -> what areas have at that size
-        self.areas: Callable[[int, float], AreaLevels] = cache(self._areas)
         #: value -> see ``_sum_at``
         self.sum_at: Callable[[float], Tensor] = cache(self._sum_at)
-        #: factor, grey -> what pictures 1/factor of full size are compared with
-        self.target: Callable[[int, bool], StyleTarget] = cache(self._target)
+        #: factor, grey -> see ``make_target``
+        self.target: Callable[[int, bool], Target] = cache(partial(make_target, pixels))
 
     @cached_property
     def mean(self) -> Tensor:
@@ -82,17 +81,11 @@ class StyleFeatures:
         """Median of the brightest channel, display-encoded."""
         return float(self._pixels.amax(-1).median())
 
-    def _target(self, factor: int, grey: bool) -> StyleTarget:
-        return self._make_target(self._scaled(factor), grey)
-
-    def _areas(self, factor: int, radius: float) -> AreaLevels:
-        return area_levels(self._scaled(factor), radius)
-
     def _sum_at(self, value: float) -> Tensor:
         """Sum [3] of the colours of pixels, display-encoded, over the number of pixels, at the size
         of full pictures. They count by how near their brightest channel is to a value, and all
         count a little, for styles that have none there."""
-        pixels = counted_pixels(self._scaled(1)).double().cpu()
+        pixels = counted_pixels(self._scaled()).double().cpu()
         near = (-0.5 * ((pixels.amax(1) - value) / _NEAR).square()).exp() + _FAR
         return near @ pixels / len(near)
 
@@ -105,9 +98,9 @@ class StyleFeatures:
     def shown(self) -> float:
         """The share of the colours' deviation that is left at the size of full pictures."""
         spread = self.colours[1]
-        if spread == 0:
-            return 1.0
-        return _mean_and_deviation(counted_pixels(self._scaled(1)))[1] / spread
+        return (
+            _mean_and_deviation(counted_pixels(self._scaled()))[1] / spread if spread > 0 else 1.0
+        )
 
 
 def _mean_and_deviation(pixels: Tensor) -> tuple[Tensor, float]:
@@ -125,7 +118,6 @@ class StyleTargets:
     shares: tuple[float, ...]  # of the images, adding up to 1
     losses: LossesConfig
     device: torch.device
-    radius: float  # of an area of full pictures, pixels
 
     def weighted(self, config: StyleConfig) -> "StyleTargets":
         """The same images with other ``weights``.
@@ -190,18 +182,14 @@ class StyleTargets:
         Raises:
             FeatureError: see ``features.build_network``.
         """
-        targets = [image.target(factor, grey) for _, image in self._used]
-        shares = [share for share, _ in self._used]
-        return PictureLoss(targets, shares, self.losses, None if grey else self._areas(factor))
-
-    def _areas(self, factor: int) -> AreaLevels | None:
-        """What areas of pictures 1/factor of full size should have."""
-        if not self.losses.local_contrast:
-            return None
-        return AreaLevels.mean([(s, self._areas_of(image, factor)) for s, image in self._used])
-
-    def _areas_of(self, image: StyleFeatures, factor: int) -> AreaLevels:
-        return image.areas(factor, self.radius / factor)
+        made = [(share, *image.target(factor, grey)) for share, image in self._used]
+        levels = [(share, areas) for share, _, areas in made if areas is not None]
+        return PictureLoss(
+            [target for _, target, _ in made],
+            [share for share, _, _ in made],
+            self.losses,
+            AreaLevels.mean(levels) if levels else None,
+        )
 
     def prepare(self, iterations: Mapping[str, Sequence[int]]) -> None:
         """Make what steps compare with at the octaves that have iterations, shared among threads.
@@ -218,17 +206,16 @@ class StyleTargets:
         pairs = [
             (image, of) for of in sorted(wanted) for _, image in self._used
         ]  # large ones first
-        run_on(self.device, [partial(self._make, image, *of) for image, of in pairs])
-
-    def _make(self, image: StyleFeatures, factor: int, grey: bool) -> None:
-        image.target(factor, grey)
-        if self.losses.local_contrast and not grey:
-            self._areas_of(image, factor)
+        run_on(self.device, [partial(_make, image, *of) for image, of in pairs])
 
     @property
     def _used(self) -> list[tuple[float, StyleFeatures]]:
         pairs = zip(self.shares, self.images, strict=True)
         return [(share, image) for share, image in pairs if share > 0]
+
+
+def _make(image: StyleFeatures, factor: int, grey: bool) -> None:
+    image.target(factor, grey)
 
 
 @dataclass(frozen=True)
@@ -264,24 +251,28 @@ def make_targets(
     # made when it is first used: a window of empty frames does not read VGG-19's weights
     network_for, loading = cache(partial(build_network, features, seed)), threading.Lock()
 
-    def scaled(pixels: np.ndarray, factor: int) -> Tensor:
+    def scaled(pixels: np.ndarray, factor: int = 1) -> Tensor:
         return scale_style(pixels, scene.image_size / factor, sized, like)
 
-    def make_target(style: Tensor, grey: bool) -> StyleTarget:
+    def make_target(pixels: np.ndarray, factor: int, grey: bool) -> Target:
+        style, areas = scaled(pixels, factor), None
+        if config.losses.local_contrast and not grey:
+            areas = area_levels(style, scene.image_size / AREAS / factor)
         if grey:
             style = match_grey(style, scene.grey_mean, scene.grey_deviation)
         nearest = () if grey else nearest_layers(features)
         with loading:  # weights are read once
             network = network_for()
-        return StyleTarget(
+        target = StyleTarget(
             style, network(style[..., :3]), layers, config.losses, content, nearest, seed
         )
+        return target, areas
 
     images = tuple(
-        StyleFeatures(_prepared(pixels, config.style), scaled, make_target) for pixels in styles
+        StyleFeatures(_prepared(pixels, config.style), make_target, scaled) for pixels in styles
     )
     shares = tuple(style_shares(config.style, len(images)))
-    return StyleTargets(images, shares, config.losses, device, scene.image_size / AREAS)
+    return StyleTargets(images, shares, config.losses, device)
 
 
 def _prepared(pixels: np.ndarray, config: StyleConfig) -> np.ndarray:

@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from usdsmoke.core.style.style_image import alpha_of
+from usdsmoke.core.style.style_image import alpha_of, unless_small
 
 AREAS = 24  # radii of an area along the longer side of a picture: standard deviations of a Gaussian
 FINE = 3  # of them in a radius: contrast is that of all marks, and that of fine ones alone
@@ -53,9 +53,8 @@ def area_levels(style: Tensor, radius: float) -> AreaLevels:
 
     Gradients: none.
     """
-    alpha = alpha_of(style)
-    some = alpha is not None and bool((alpha >= 0.5).any())  # as ``style_image.in_areas``
-    counts = alpha if alpha is not None and some else torch.ones_like(style[..., 0])
+    alpha = unless_small(alpha_of(style))
+    counts = torch.ones_like(style[..., 0]) if alpha is None else alpha
     with torch.no_grad():
         value, contrasts, weight = _measured(style[..., :3], counts, radius)
     found = [_quantile(contrast, weight, LOW) for contrast in contrasts]

@@ -47,8 +47,13 @@ def in_areas(values: Tensor, areas: Tensor | None) -> Tensor:
 
     All of them where areas are None, or smaller than a pixel each.
     """
-    kept = None if areas is None else areas.flatten() >= 0.5
-    return values if kept is None or not bool(kept.any()) else values[kept]
+    seen = unless_small(areas)
+    return values if seen is None else values[seen.flatten() >= 0.5]
+
+
+def unless_small(areas: Tensor | None) -> Tensor | None:
+    """Areas in [0, 1] of any shape; None where they are smaller than a pixel each."""
+    return areas if areas is not None and bool((areas >= 0.5).any()) else None
 
 
 def counted_pixels(style: Tensor) -> Tensor:
