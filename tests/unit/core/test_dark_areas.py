@@ -155,7 +155,6 @@ def test_albedos_and_flat_smoke_are_left_alone() -> None:
 def run_with(lift, style, density=None, target="emission") -> StylizedFrame:
     config = quick_config(
         optics={"sun": [0, 1, 0]} if target != "emission" else {},
-        losses={"local_contrast": 0.0},  # whose level is that of the lift
         colour={"occlusion": 0.0, "lift": lift, "target": target, "iterations": [2]},
         optimize={"steps": ["colour"], "threads": 1, "tolerance": 0.0, "error_budget": False},
     )

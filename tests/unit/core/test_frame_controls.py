@@ -204,7 +204,7 @@ def test_a_frame_emits_by_its_own_extinction_and_reports_it():
 
 
 def targets_of(styles: Sequence[np.ndarray], weights: Sequence[float] = ()) -> StyleTargets:
-    # what areas lack is no sum over styles
+    # styles set one level for areas by their shares, so that what areas lack is no sum over styles
     config = quick_config(style={"weights": list(weights)}, losses={"local_contrast": 0})
     scene = scene_of(FRAMES[:1], config, "Y")
     return make_targets(styles, scene, config, torch.device("cpu"))

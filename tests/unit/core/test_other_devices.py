@@ -133,7 +133,8 @@ def test_enlarged_pictures_end_where_the_processor_does(
     config = CONFIG.replace(
         optimize=CONFIG.optimize.replace(steps=("colour",)),
         colour=CONFIG.colour.replace(iterations=(8, 8)),
-        losses=CONFIG.losses.replace(local_contrast=0.0),  # which finer octaves have more of
+        # of which the second octave has more than the first, so that their losses do not compare
+        losses=CONFIG.losses.replace(local_contrast=0.0),
         # `losses.nearest` acts on learned layers alone
         features=CONFIG.features.replace(layers=("oriented1", "learned2")),
         views=CONFIG.views.replace(image_size=40, elevation=40.0),

@@ -33,33 +33,24 @@ def lift_dark_areas(
         hue: [3], of what is added, whose brightest channel is 1: those of colours near black are
             noise.
     """
-    rows = _joined_rows(painted, joined.smoke)
+    smoke, rows = joined.smoke, _joined_rows(painted, joined.smoke)
+    density, n = painted.density.double(), len(smoke.ijk)
+    mass = sums_of(rows, density, n)
+    seen = Surroundings(smoke, torch.where(mass > 0, joined.visible, 0.0))
+    near = Surroundings(smoke, torch.ones_like(mass))
     for _ in range(ROUNDS):
-        colours = _lifted(colours, painted, joined, rows, level, hue)
+        value = colours.amax(1).clamp(0, 1)
+        mean = sums_of(rows, density * value, n) / mass.clamp_min(torch.finfo(mass.dtype).tiny)
+        around = seen.mean(mean[:, None], 1.0, AREA)
+        # voxels whose mean, which lies between those of joined voxels, may be below the level
+        beside = near.mean((around < level).double(), 1.0, 1)
+        dark = (beside[:, 0] > 0)[rows].nonzero()[:, 0]
+        around = sample_colours(smoke, around.to(colours), painted.positions[dark])[0][:, 0]
+        slope = level * (1 - around) / (around * (1 - level)).clamp_min(1e-6)
+        slope, value = slope.clamp(1, STEEPEST), value[dark]
+        added = slope * value / (1 + (slope - 1) * value) - value
+        colours = colours.index_add(0, dark, added[:, None] * hue)
     return colours
-
-
-def _lifted(
-    colours: Tensor,
-    painted: ActiveSmoke,
-    joined: JoinedSmoke,
-    rows: Tensor,
-    level: float,
-    hue: Tensor,
-) -> Tensor:
-    """One round of ``lift_dark_areas``; ``rows`` are of the joined voxels that hold the painted."""
-    smoke, value = joined.smoke, colours.amax(1).clamp(0, 1)
-    mass, mean = _joined_means(value, painted, rows, len(smoke.ijk))
-    seen = torch.where(mass > 0, joined.visible, 0.0)
-    around = Surroundings(smoke, seen).mean(mean[:, None], 1.0, AREA)
-    # Voxels whose mean, which lies between those of joined voxels, may be below the level.
-    beside = Surroundings(smoke, torch.ones_like(mass)).mean((around < level).double(), 1.0, 1)
-    dark = (beside[:, 0] > 0)[rows].nonzero()[:, 0]
-    around = sample_colours(smoke, around.to(colours), painted.positions[dark])[0][:, 0]
-    slope = level * (1 - around) / (around * (1 - level)).clamp_min(1e-6)
-    slope, value = slope.clamp(1, STEEPEST), value[dark]
-    added = slope * value / (1 + (slope - 1) * value) - value
-    return colours.index_add(0, dark, added[:, None] * hue)
 
 
 def _joined_rows(painted: ActiveSmoke, smoke: ActiveSmoke) -> Tensor:
@@ -67,12 +58,3 @@ def _joined_rows(painted: ActiveSmoke, smoke: ActiveSmoke) -> Tensor:
     to_index = torch.as_tensor(np.linalg.inv(smoke.index_to_stage), device=smoke.ijk.device)
     index = painted.positions @ to_index[:3, :3] + to_index[3, :3]
     return rows_at(smoke, index.round().to(smoke.ijk))
-
-
-def _joined_means(
-    value: Tensor, painted: ActiveSmoke, rows: Tensor, n: int
-) -> tuple[Tensor, Tensor]:
-    """The painted mass in each joined voxel, and the mean by mass of values [N], [n] each."""
-    mass = painted.density.double()
-    total = sums_of(rows, mass, n)
-    return total, sums_of(rows, mass * value, n) / total.clamp_min(torch.finfo(total.dtype).tiny)
