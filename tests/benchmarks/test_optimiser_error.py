@@ -11,7 +11,8 @@ SETTINGS = {
     # a narrow pool: with views all round so few iterations do not converge
     "views": {"pool": 8, "image_size": 24, "azimuth": 12, "elevation": 6},
     "features": {"layers": ["oriented1", "oriented2", "learned1"]},
-    "shape": {"iterations": [30, 32]},
+    # with two more, some processors leave .0195
+    "shape": {"iterations": [30, 30]},
     # with larger steps too little is left to be told
     "colour": {"iterations": [30, 64], "learning_rate": 0.015},
     "optimize": {"threads": 1},
@@ -29,7 +30,7 @@ def test_what_is_left_agrees_with_a_run_four_times_as_long(step: str, limit: str
     # not white noise: blending takes its hues away, the more of them the longer a run
     style = paint_styles(["strokes"], 32)["strokes"]
     row = measure_step(frame_of(puff(16)), style, config, step, limit)
-    assert row.true > 0.015, row  # the shape step has .0195 on some processors
+    assert row.true > 0.02, row
     assert 1 / WITHIN < row.ratio < WITHIN, row
     if limit == "stopped early":
         assert row.ended == "converged", row
