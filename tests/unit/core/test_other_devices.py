@@ -28,7 +28,7 @@ from usdsmoke.core.sequence.stylize import WindowStart, stylize_window
 from usdsmoke.core.smoke import replay
 from usdsmoke.core.smoke.replay import enlarged
 from usdsmoke.core.style.losses import StyleTarget
-from usdsmoke.core.style.nearest import nearest_distances
+from usdsmoke.core.style.patches import StylePatches
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 from usdsmoke.core.style.sliced import sliced_distance
 from usdsmoke.core.training.canvas import Canvas
@@ -135,7 +135,6 @@ def test_enlarged_pictures_end_where_the_processor_does(
         colour=CONFIG.colour.replace(iterations=(8, 8)),
         # of which the second octave has more than the first, so that their losses do not compare
         losses=CONFIG.losses.replace(local_contrast=0.0),
-        # `losses.nearest` acts on learned layers alone
         features=CONFIG.features.replace(layers=("oriented1", "learned2")),
         views=CONFIG.views.replace(image_size=40, elevation=40.0),
     )
@@ -183,11 +182,10 @@ def test_statistics_are_those_of_the_processor(
 
     def measure(where: torch.device, weights: torch.Tensor) -> list[np.ndarray]:
         leaf = values.to(where).requires_grad_()
-        own, other, along, number = (x.to(where) for x in (weights, style, axes, torch.tensor(3)))
+        own, other, along = (x.to(where) for x in (weights, style, axes))
         distances = (
             sliced_distance(leaf, own, along, quantile_table(along @ other)),
             quantile_distance(leaf, own, quantile_table(other)),
-            *nearest_distances(leaf, own, other, number),
         )
         slopes = [
             torch.autograd.grad(distance, leaf, retain_graph=True)[0] for distance in distances
@@ -200,6 +198,27 @@ def test_statistics_are_those_of_the_processor(
         for values_there, wanted in zip(found, expected, strict=True):
             assert np.linalg.norm(values_there - wanted) <= 1e-4 * np.linalg.norm(wanted)
     assert all(np.all(one == 0) for one in expected)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_patches_are_those_of_the_processor(
+    share: float, elsewhere: Elsewhere, device: torch.device
+) -> None:
+    """Where there is little smoke, the processor leaves them out."""
+    source = torch.Generator().manual_seed(1)
+    picture, style = (torch.rand(60, 50, 3, generator=source) for _ in range(2))
+    guide = torch.linspace(-1, 1, 50).expand(60, 50).add(2 * share - 1).clamp(0, 1)
+
+    def measure(where: torch.device) -> list[np.ndarray]:
+        leaf, number = picture.to(where).requires_grad_(), torch.tensor(1).to(where)
+        draw = 1 if where.type == "cpu" else number
+        loss = StylePatches(style.to(where)).loss(leaf, guide.to(where), draw)
+        slope = torch.autograd.grad(loss, leaf)[0]
+        return [one.detach().cpu().numpy() for one in (loss, slope)]
+
+    expected = measure(torch.device("cpu"))
+    assert_about_equal(elsewhere(partial(measure, device)), expected)
+    assert bool(expected[1].any()) == (share > 0)
 
 
 def vgg19(style: torch.Tensor) -> Vgg19Features:
@@ -237,7 +256,7 @@ def test_what_is_recorded_waits_for_no_number(
     def losses_on(where: torch.device) -> list[np.ndarray]:
         like = style.to(where)
         target = StyleTarget(
-            like, make(like), dict.fromkeys(names, 1.0), config, nearest_layers=names[-1:]
+            like, make(like), dict.fromkeys(names, 1.0), config, patches=StylePatches(like)
         )
         found = []
         for picture in pictures:

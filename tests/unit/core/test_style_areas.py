@@ -143,11 +143,11 @@ def test_a_target_with_alpha_is_that_of_the_part(statistic: str) -> None:
     alpha[:, SIDE // 2 :] = 1.0
 
     def loss(pixels: Tensor) -> float:
-        target = StyleTarget(pixels, Pixels(), {"fine": 1.0}, losses, nearest_layers=["fine"])
+        target = StyleTarget(pixels, Pixels(), {"fine": 1.0}, losses)
         return target.loss(picture, None).item()
 
     part = loss(style[:, SIDE // 2 :])
-    assert loss(torch.cat([style, alpha], 2)) == pytest.approx(part, rel=1e-6)
+    assert loss(torch.cat([style, alpha], 2)) == pytest.approx(part, rel=1e-6, abs=1e-7)
     assert loss(style) != pytest.approx(part, rel=0.02)
 
 
@@ -185,14 +185,17 @@ def test_colours_of_a_style_are_those_of_its_areas() -> None:
 @pytest.mark.parametrize("grey", [False, True])
 @pytest.mark.parametrize("factor", [1, 2])
 def test_pictures_are_compared_with_the_areas(factor: int, grey: bool) -> None:
-    """The loss of a picture of the marks alone is less than with the whole image."""
+    """The loss of a picture of the marks alone is less than with the whole image.
+
+    Patches are left out: to other noise, noise is no nearer than to the flat band.
+    """
     style, cpu = with_band(marks(0.0, 0.3)), torch.device("cpu")
     picture = torch.from_numpy(marks(seed=1))[::factor, ::factor].contiguous()
     picture = match_grey(picture, SCENE.grey_mean, SCENE.grey_deviation) if grey else picture
     guide = torch.ones(picture.shape[:2])
 
     def loss(areas: str) -> float:
-        config = Config(style={"areas": areas})
+        config = Config(style={"areas": areas}, losses={"nearest": 0.0})
         return make_targets([style], SCENE, config, cpu).at(factor, grey)(picture, guide).item()
 
     assert loss("marked") < 0.95 * loss("all")

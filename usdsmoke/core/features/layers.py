@@ -76,16 +76,6 @@ def content_layers(config: FeaturesConfig) -> tuple[str, ...]:
     return (max(style_layers(config), key=known.index),)
 
 
-def nearest_layers(config: FeaturesConfig) -> tuple[str, ...]:
-    """The style layers whose features are drawn to the nearest ones: the two deepest learned ones.
-
-    Raises:
-        ConfigError: see ``style_layers``.
-    """
-    used = style_layers(config)
-    return tuple(n for n in layer_names(config) if n in used and n not in oriented_layers())[-2:]
-
-
 def named_vgg19_file(configured: str = "") -> str:
     """The file that was asked for, by setting or by ``USDSMOKE_VGG19``; "" if none was."""
     return configured or os.environ.get("USDSMOKE_VGG19", "")

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from usdsmoke.config.look_sections import LossesConfig, StyleConfig
 from usdsmoke.config.settings import Config, style_shares
-from usdsmoke.core.features.layers import content_layers, nearest_layers, style_layers
+from usdsmoke.core.features.layers import content_layers, style_layers
 from usdsmoke.core.features.network import build_network
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.memory import run_on
@@ -21,6 +21,7 @@ from usdsmoke.core.smoke.srgb import decode_srgb, luma
 from usdsmoke.core.style.hues import Hues, count_hues
 from usdsmoke.core.style.local_contrast import AREAS, AreaLevels, area_levels
 from usdsmoke.core.style.losses import PictureLoss, StyleTarget
+from usdsmoke.core.style.patches import COARSER, StylePatches
 from usdsmoke.core.style.style_areas import marked_areas
 from usdsmoke.core.style.style_image import adjust_tones, counted_pixels, match_grey, scale_style
 from usdsmoke.core.views.lighting import Lighting
@@ -255,16 +256,18 @@ def make_targets(
         return scale_style(pixels, scene.image_size / factor, sized, like)
 
     def make_target(pixels: np.ndarray, factor: int, grey: bool) -> Target:
-        style, areas = scaled(pixels, factor), None
+        style, areas, patches = scaled(pixels, factor), None, None
         if config.losses.local_contrast and not grey:
             areas = area_levels(style, scene.image_size / AREAS / factor)
+        weight = config.losses.style * config.losses.nearest * (COARSER if factor > 1 else 1.0)
+        if weight and not grey:
+            patches = StylePatches(style, weight, seed)
         if grey:
             style = match_grey(style, scene.grey_mean, scene.grey_deviation)
-        nearest = () if grey else nearest_layers(features)
         with loading:  # weights are read once
             network = network_for()
         target = StyleTarget(
-            style, network(style[..., :3]), layers, config.losses, content, nearest, seed
+            style, network(style[..., :3]), layers, config.losses, content, patches, seed
         )
         return target, areas
 

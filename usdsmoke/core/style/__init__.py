@@ -6,7 +6,7 @@
 - ``hues``: the hues of a style, and colours that are brought to them
 - ``quantiles``: one-dimensional optimal transport between distributions of features
 - ``sliced``: the same along random directions, by counting instead of sorting
-- ``nearest``: the way from features to the nearest ones of the style
+- ``patches``: the ways from patches to the nearest ones of the style, and back
 - ``content``: distances of a picture from its content picture
 - ``losses``: the loss of a picture: Gram matrices or distributions, content, total variation
 """

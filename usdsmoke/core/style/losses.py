@@ -13,8 +13,7 @@ convergence:
 
 Instead of Gram matrices, or in addition, the distributions of the features are compared: channel by
 channel (the histogram loss [Risser2017]), or along random directions (sliced Wasserstein
-[Heitz2021]). The deep layers are also drawn to the nearest features of the style [Li2016], and each
-feature of the style pulls the nearest one of the picture [Simakov2008].
+[Heitz2021]). Patches of pixels are also drawn to the nearest ones of the style, see ``patches``.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -33,7 +32,7 @@ from usdsmoke.core.smoke.replay import Replay, enlarged
 from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
 from usdsmoke.core.style.local_contrast import AreaLevels, area_distance
-from usdsmoke.core.style.nearest import nearest_distances, thin_out
+from usdsmoke.core.style.patches import StylePatches
 from usdsmoke.core.style.quantiles import (
     at_least_single,
     quantile_distance,
@@ -48,8 +47,6 @@ MOST_PER_CHANNEL = 4  # directions: colours alone have three channels
 N_DRAWS = 16  # sets of directions, taken in turn
 MOST_SAMPLES = 2**12  # of a style's features, drawn anew for each set, whose quantiles are taken
 MANY_TIMES = 16  # as many features as are drawn, of which hardly any is drawn twice
-BACK = 2.0  # weight of the ways from the style's features to the nearest of a picture's
-LEAST_SPREAD = 0.01  # of a channel's rms, from which on a style's features differ
 LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more
 
 
@@ -141,7 +138,7 @@ class StyleTarget:
         layers: weight of each style layer; one of weight 0 is not evaluated.
         losses: which statistic, and the weight of the histograms.
         content_layers: for ``content_loss``.
-        nearest_layers: those of the style layers that ``losses.nearest`` is for.
+        patches: of the style, for ``losses.nearest``; None leaves them out.
         seed: of the directions of sliced Wasserstein.
     """
 
@@ -152,13 +149,12 @@ class StyleTarget:
         layers: Mapping[str, float],
         losses: LossesConfig | None = None,
         content_layers: Iterable[str] = (),
-        nearest_layers: Iterable[str] = (),
+        patches: StylePatches | None = None,
         seed: int = 0,
     ) -> None:
         self._network, self._losses = network, losses or LossesConfig()
         self._weights = {name: weight for name, weight in layers.items() if weight != 0}
-        self._content_layers = frozenset(content_layers)
-        self._nearest_layers = frozenset(nearest_layers if self._losses.nearest else ())
+        self._content_layers, self._patches = frozenset(content_layers), patches
         with torch.no_grad():
             maps, areas = network(style[..., :3], frozenset(self._weights)), alpha_of(style)
             self._layers = {name: _LayerTarget(maps[name], seed, areas) for name in self._weights}
@@ -166,7 +162,9 @@ class StyleTarget:
         self._replays: dict[tuple[torch.Size, torch.dtype], Replay] = {}
 
     def loss(self, picture: Tensor, guide: Tensor | None, draw: int = 0) -> Tensor:
-        """Weighted sum over the style layers; scalar, (nearly) 0 for the style itself.
+        """Weighted sum over the style layers, and that of patches; scalar.
+
+        (Nearly) 0 for the style itself.
 
         Args:
             picture: [H W 3], display-encoded.
@@ -189,6 +187,8 @@ class StyleTarget:
     def _sum(self, picture: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
         groups = independent_layers(self._network, frozenset(self._weights))
         terms = [partial(self._loss_of, group, guide=guide, draw=draw) for group in groups]
+        if self._patches is not None:
+            terms.append(partial(self._patches.loss, guide=guide, draw=draw))
         return accumulate(picture, terms)
 
     def _loss_of(
@@ -207,9 +207,6 @@ class StyleTarget:
                 distance = layer.gram_distance(maps[name], guide)
             if losses.histogram:
                 distance = distance + losses.histogram * layer.histogram_distance(maps[name], guide)
-            if name in self._nearest_layers:
-                way = layer.nearest_distance(maps[name], guide, draw)
-                distance = distance + losses.nearest * way
             total = total + weight * distance
         return total
 
@@ -254,15 +251,6 @@ class _LayerTarget:
     def _table(self) -> Tensor:
         return quantile_table(self._style)
 
-    @cached_property
-    def _thinned(self) -> Tensor:
-        return thin_out(self._style)
-
-    @cached_property
-    def _varies(self) -> bool:
-        """Whether the style has more than one colour; else all ways back pull at one feature."""
-        return bool((self._thinned.std(dim=1, correction=0) > LEAST_SPREAD).any())
-
     def gram_distance(self, maps: Tensor, guide: Tensor | None) -> Tensor:
         """|G - G_S| / |G_S|, smoothed at 0; G has a constant channel, whose products are means."""
         flat = at_least_single(_flat(maps))
@@ -274,17 +262,6 @@ class _LayerTarget:
         weights = None if guide is None else _small(guide, maps).square()[0]
         scaled = at_least_single(_flat(maps)) * self._scale[:, None]
         return torch.sqrt(quantile_distance(scaled, weights, self._table) + 1e-8)
-
-    def nearest_distance(self, maps: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
-        """Root mean square way from a draw of the picture's features to the style's nearest.
-
-        Plus ``BACK`` times the way from the style's features to the nearest of the draw's.
-        """
-        weights = None if guide is None else _small(guide, maps).square()[0]
-        scaled = at_least_single(_flat(maps)) * self._scale[:, None]
-        there, back = nearest_distances(scaled, weights, self._thinned, draw)
-        way = torch.sqrt(there + 1e-8)
-        return way + BACK * torch.sqrt(back + 1e-8) if self._varies else way
 
     def sliced_distance(self, maps: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
         """The same along a draw of random directions."""
