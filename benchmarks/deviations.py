@@ -135,7 +135,7 @@ def rows(width: int) -> Iterator[Row]:
     for name, settings in (
         ("relative distance of Gram matrices, with means", {**GRAM, **_of(ITERATIONS)}),
         ("distributions", {**GRAM, **_of(ITERATIONS), "losses.statistic": "sliced_wasserstein"}),
-        ("nearest features, all layers: the defaults from the front", {}),
+        ("patches, areas, all layers: the defaults from the front", {}),
         ("the defaults, from all round", {"views.azimuth": Config().views.azimuth}),
     ):
         chosen, begun = resolve_config(config, settings), time.process_time()

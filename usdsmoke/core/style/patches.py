@@ -22,7 +22,7 @@ COARSER = 3.0  # times the weight in coarser octaves, where it is decided what l
 BACK = 1.0  # weight of the ways back
 LEAST_WEIGHT = 0.25  # of a patch: the square of the smoke's share; with less, it is left out
 WHOLE = 0.5  # of a draw's largest weight; no way leads back to less, as at the rim of smoke
-LEAST_SPREAD = 5e-3  # of colours, from which on patches of a style differ
+LEAST_SPREAD = 0.02  # of colours, display-encoded; with less, a style is one colour
 _SLACK = 1e-4  # of a share: round-off
 _ROUND = 1e-4  # of a way
 
