@@ -184,7 +184,7 @@ def test_gradients_are_those_of_finite_differences() -> None:
 
 
 def loss_of(picture: Tensor, styles: Sequence[Tensor], factor: int = 1, **settings: Any) -> float:
-    """Of a picture full of smoke; patches, which grey pictures are not compared by, are left out."""
+    """Of a picture full of smoke; patches, which grey has none of, are left out."""
     grey = settings.pop("grey", False)
     config = Config()
     weights = settings.pop("weights", ())
