@@ -20,7 +20,7 @@ from usdsmoke.core.fields.richardson import step_error
 from usdsmoke.core.fields.transport import Scheme, warp
 from usdsmoke.core.fields.warp_error import warp_error
 from usdsmoke.core.sequence import picture_errors
-from usdsmoke.core.sequence.error_estimates import USUALLY_LEFT
+from usdsmoke.core.sequence.error_estimates import USUALLY_LEFT, tail_figures
 from usdsmoke.core.sequence.picture_errors import (
     Painted,
     fit_blocks,
@@ -30,7 +30,7 @@ from usdsmoke.core.sequence.picture_errors import (
 )
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.steps.loss_tail import likely_difference, remaining_decrease, spread_of_mean
-from usdsmoke.core.steps.optimize import MENDING, Descent, minimize
+from usdsmoke.core.steps.optimize import MENDING, Descent, Minimum, minimize
 from usdsmoke.core.views.cameras import View, orbit_view
 from usdsmoke.core.views.scene import fit_view
 
@@ -320,3 +320,18 @@ def test_the_order_is_fitted_and_held_in_its_limits() -> None:
     for order, fitted in ((1.5, 1.5), (0.5, 1.0), (3.0, 2.0)):
         found = step_error([exact + 1e-3 * h**order for h in (1.0, 2.0, 4.0)])
         assert found.order == pytest.approx(fitted, abs=1e-2)
+
+
+def test_what_all_octaves_leave_does_not_depend_on_how_each_weighs_its_loss() -> None:
+    def ended(first: float, last: float, weight: float) -> Minimum:
+        losses = tuple(weight * value for value in np.linspace(first, last, 20))
+        return Minimum(
+            19, losses[-1], losses[-1], 0, 0.01, "iterations", losses=losses, rates=(0.01,) * 20
+        )
+
+    for weight in (1.0, 3.0):
+        ends = [ended(8.0, 4.0, weight), ended(5.0, 4.0, weight), ended(4.0, 3.0, 1.0)]
+        fallen = tail_figures("colour", ends, 16, 1)["fallen"]
+        assert 3.0 / (3.0 + fallen) == pytest.approx(0.5 * 0.8 * 0.75)
+    gone = tail_figures("colour", [ended(8.0, 0.0, 1.0), ended(4.0, 3.0, 1.0)], 16, 1)
+    assert gone["fallen"] > 1e6

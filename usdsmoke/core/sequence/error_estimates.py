@@ -52,6 +52,7 @@ Item = TypeVar("Item")
 N_UNSEEN = 2  # views that were not optimised, as far apart as possible
 N_SEEN = 8  # that were: with four, three of six scenes are told 2.4 to 4.5 times the truth
 OTHER_SEED = 0x0DD5EED  # of their angles
+_LEAST_LOSS = 1e-30  # nothing is left of a first loss
 # Share of the loss that four times as many iterations gain, where the rates of the last octave add
 # up to 1; less by the way to the power of .7. From runs of 30 to 160 iterations in each octave on
 # puffs, filaments and two plumes (benchmarks/results/optimiser_error.md).
@@ -201,8 +202,10 @@ def tail_figures(step: str, ends: Sequence[Minimum], pool: int, count: int) -> d
         return {}
     losses, rates, end = ends[-1].losses, ends[-1].rates, ends[-1].smoothed
     way = math.fsum(rates)
+    # octaves weigh their parts differently: the first loss is told in the last one's units
+    first = end * math.prod(each.losses[0] / max(each.smoothed, _LEAST_LOSS) for each in ends)
     found = {
-        "fallen": max(ends[0].losses[0] - end, 0.0),
+        "fallen": max(first - end, 0.0),
         "fallen_in_last_octave": max(losses[0] - end, 0.0),
         "remaining": math.nan
         if way < SHORTEST_WAY

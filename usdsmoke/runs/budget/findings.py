@@ -41,7 +41,7 @@ from usdsmoke.runs.budget.sight_findings import find_sight
 
 UNMOVED = 1e-3  # of the largest allowed displacement: less is not seen
 VANISHED = 0.01  # of the voxels
-HARDLY_FALLEN = 0.6  # of a cold frame's first loss
+HARDLY_FALLEN = 0.6  # of a cold frame's first losses
 UNLIKE = 3.0  # times the neighbour's loss
 LEAST_REACH = 1e-3  # of the smoke's longest side: less changes no picture
 _OUTWEIGH = (  # settings that can keep the shape step from moving anything
@@ -311,7 +311,7 @@ def _hardly_fallen(
     yield Finding(
         name,
         COLOUR_OPTIMISER.name,
-        f"the colour step ends at {end / first:.0%} of its first loss",
+        f"all octaves of the colour step leave {end / first:.0%} of their first losses",
         f"Compare the result with the style; {remedy}",
         setting,
     )
