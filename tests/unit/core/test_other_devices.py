@@ -28,7 +28,7 @@ from usdsmoke.core.sequence.stylize import WindowStart, stylize_window
 from usdsmoke.core.smoke import replay
 from usdsmoke.core.smoke.replay import enlarged
 from usdsmoke.core.style.losses import StyleTarget
-from usdsmoke.core.style.patches import StylePatches
+from usdsmoke.core.style.patches import StylePatches, patch_shares
 from usdsmoke.core.style.quantiles import quantile_distance, quantile_table, random_directions
 from usdsmoke.core.style.sliced import sliced_distance
 from usdsmoke.core.training.canvas import Canvas
@@ -212,7 +212,7 @@ def test_patches_are_those_of_the_processor(
     def measure(where: torch.device) -> list[np.ndarray]:
         leaf, number = picture.to(where).requires_grad_(), torch.tensor(1).to(where)
         draw = 1 if where.type == "cpu" else number
-        loss = StylePatches(style.to(where)).loss(leaf, guide.to(where), draw)
+        loss = StylePatches(style.to(where)).loss(leaf, patch_shares(guide).to(where), draw)
         slope = torch.autograd.grad(loss, leaf)[0]
         return [one.detach().cpu().numpy() for one in (loss, slope)]
 

@@ -32,12 +32,13 @@ from usdsmoke.core.smoke.replay import Replay, enlarged
 from usdsmoke.core.smoke.srgb import luma
 from usdsmoke.core.style.content import content_distance, laplacian_distance, photorealism_distance
 from usdsmoke.core.style.local_contrast import AreaLevels, area_distance
-from usdsmoke.core.style.patches import StylePatches
+from usdsmoke.core.style.patches import StylePatches, padded_shares, patch_shares
 from usdsmoke.core.style.quantiles import (
     at_least_single,
     quantile_distance,
     quantile_table,
     random_directions,
+    some_of,
 )
 from usdsmoke.core.style.sliced import sliced_distance
 from usdsmoke.core.style.style_image import alpha_of, in_areas
@@ -46,7 +47,6 @@ N_DIRECTIONS = 32  # of sliced Wasserstein, for each layer of a picture
 MOST_PER_CHANNEL = 4  # directions: colours alone have three channels
 N_DRAWS = 16  # sets of directions, taken in turn
 MOST_SAMPLES = 2**12  # of a style's features, drawn anew for each set, whose quantiles are taken
-MANY_TIMES = 16  # as many features as are drawn, of which hardly any is drawn twice
 LEAST_RMS = 5e-3  # of a feature; only styles without structure have less, pictures 0.01 and more
 
 
@@ -169,26 +169,30 @@ class StyleTarget:
         Args:
             picture: [H W 3], display-encoded.
             guide: [H W] in [0, 1], where the smoke is; None is 1 everywhere.
-            draw: picks the directions of sliced Wasserstein, e.g. the iteration.
+            draw: picks the directions of sliced Wasserstein and the patches, e.g. the iteration.
 
         Gradients: through ``picture``.
         """
+        shares = patch_shares(torch.ones_like(picture[..., 0]) if guide is None else guide)
         if guide is None or picture.device.type == "cpu":
-            return self._sum(picture, guide, draw)
+            return self._sum(picture, guide, draw, shares)
         number = torch.full((), draw, device=picture.device)
         picture, guide = enlarged(picture, guide)
+        shares = padded_shares(shares, guide)
         key = (picture.shape, picture.dtype)
         if key not in self._replays:
             if not picture.requires_grad:  # seen once
-                return self._sum(picture, guide, number)
-            self._replays[key] = Replay(self._sum, picture, guide, number)
-        return self._replays[key](picture, guide, number)
+                return self._sum(picture, guide, number, shares)
+            self._replays[key] = Replay(self._sum, picture, guide, number, shares)
+        return self._replays[key](picture, guide, number, shares)
 
-    def _sum(self, picture: Tensor, guide: Tensor | None, draw: int | Tensor) -> Tensor:
+    def _sum(
+        self, picture: Tensor, guide: Tensor | None, draw: int | Tensor, shares: Tensor
+    ) -> Tensor:
         groups = independent_layers(self._network, frozenset(self._weights))
         terms = [partial(self._loss_of, group, guide=guide, draw=draw) for group in groups]
         if self._patches is not None:
-            terms.append(partial(self._patches.loss, guide=guide, draw=draw))
+            terms.append(partial(self._patches.loss, shares=shares, draw=draw))
         return accumulate(picture, terms)
 
     def _loss_of(
@@ -352,14 +356,9 @@ def total_variation(picture: Tensor) -> Tensor:
 def _some(features: Tensor, most: int, seed: int) -> Tensor:
     """At most so many of features [C P], drawn at random: even steps would meet the same columns of
     an image again and again."""
-    n = features.shape[1]
-    if n <= most:
+    if features.shape[1] <= most:
         return features
-    generator = torch.Generator().manual_seed(seed)
-    if n > MANY_TIMES * most:  # a shuffle would take longer than all that it is for
-        chosen = torch.randint(n, (most,), generator=generator)
-    else:
-        chosen = torch.randperm(n, generator=generator)[:most]
+    chosen = some_of(features.shape[1], most, seed)
     # maps have channels last; by columns all of them would be copied
     return features.T.index_select(0, chosen.to(features.device)).T.contiguous()
 

@@ -8,23 +8,34 @@ alone. Patches are of pixels, not of features: those whose features agree may la
 (decision 090).
 """
 
+from dataclasses import dataclass
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from usdsmoke.core.style.quantiles import some_of
 from usdsmoke.core.style.style_image import alpha_of, unless_small
 
 SIDE = 7  # pixels of a patch
-MOST_STYLE = 3000  # patches of the style that are looked through, drawn at random
-MOST_LOOKED_UP = 1500  # patches of a picture in one draw; the others in the next ones
+# patches of the style that are looked through, drawn at random of more; of a part of them, blurred
+# patches find nearer ones than sharp ones do
+MOST_STYLE = 50_000
+FEWEST_STYLE = 500  # patches, of which some reach out of the areas that count where these are small
+MOST_LOOKED_UP = 500  # patches of a picture in one draw, about; the others in the next ones
+MOST_LOOKING_BACK = (
+    500  # patches of the style in one draw, about: more would pull at each several times
+)
+AT_ONCE = 128  # rows of a search: what they are compared with stays in the cache
 N_AXES = 32  # principal axes of the style's patches, along which the nearest one is looked for
 COARSER = 3.0  # times the weight in coarser octaves, where it is decided what lies where
 BACK = 1.0  # weight of the ways back
-LEAST_WEIGHT = 0.25  # of a patch: the square of the smoke's share; with less, it is left out
+LEAST_SHARE = 0.5  # of a patch that is smoke; with less, it is left out
 WHOLE = 0.5  # of a draw's largest weight; no way leads back to less, as at the rim of smoke
 LEAST_SPREAD = 0.02  # of colours, display-encoded; with less, a style is one colour
 _SLACK = 1e-4  # of a share: round-off
 _ROUND = 1e-4  # of a way
+_SHIFT = 0.618  # of the step along a row, by which the next row begins later
 
 
 class StylePatches:
@@ -49,68 +60,107 @@ class StylePatches:
         centred = (self._patches - self._mean).cpu().double()
         _, vectors = torch.linalg.eigh(centred.T @ centred)
         self._axes = vectors[:, -N_AXES:].to(style).contiguous()  # [D n]
-        self._short = self._along(self._patches)  # [S n]
+        self._known = self._along(self._patches)
 
-    def loss(self, picture: Tensor, guide: Tensor | None, draw: int | Tensor = 0) -> Tensor:
-        """The weighted sum of the ways there and back, scalar; 0 for the style itself.
+    def loss(self, picture: Tensor, shares: Tensor, draw: int | Tensor = 0) -> Tensor:
+        """The weighted sum of the ways there and back, scalar.
 
-        Root mean squares of differences, in units of the deviation of the style's colours: over a
-        draw of the picture's patches, and over every other one of the style's, in turns.
+        Root mean squares of differences, in units of the deviation of the style's colours, over a
+        draw of the picture's patches and of the style's. 0 for the style itself, if it has at most
+        ``MOST_STYLE`` patches.
 
         Args:
             picture: [H W 3], display-encoded; 0 for one that is smaller than a patch.
-            guide: [H W] in [0, 1], where the smoke is; None is 1 everywhere.
+            shares: of smoke in its patches, see ``patch_shares``.
             draw: which of the patches, e.g. the iteration: draws that follow each other take all of
                 them. A tensor on a GPU, where nothing waits for a number.
 
         Gradients: through ``picture``, with the choice of the nearest held.
         """
-        height, width = picture.shape[:2]
-        if min(height, width) < SIDE:
-            return picture.sum() * 0
-        guide = torch.ones_like(picture[..., 0]) if guide is None else guide
-        share = F.avg_pool2d(guide[None, None], SIDE, stride=1)[0, 0]
-        chosen, weights = _choose(share.square().flatten(), draw)
+        chosen, weights, n_draws = _choose(shares, draw)
         if len(chosen) == 0:
             return picture.sum() * 0
-        n_across = width - SIDE + 1
+        width, n_across = picture.shape[1], shares.shape[1]
         places = chosen.div(n_across, rounding_mode="floor") * width + chosen % n_across
         found = _rows(picture.flatten(0, 1), _pixels_of(places, width).flatten())
         found = found.view(len(places), -1) * self._scale
-        short = self._along(found.detach())
-        there = (found - _rows(self._patches, _nearest(short, self._short))).square().mean(1)
-        total = weights.sum().clamp_min(LEAST_WEIGHT)  # that of any one
+        drawn = self._along(found.detach())
+        there = (found - _rows(self._patches, drawn.nearest(self._known))).square().mean(1)
+        total = weights.sum().clamp_min(LEAST_SHARE**2)  # that of any one
         way = _root((there * weights).sum() / total)
         if self._varies:
-            way = way + BACK * self._way_back(found, short, weights, draw)
+            n_turns = max(len(self._patches) // MOST_LOOKING_BACK, 1)
+            # no part of the style meets the same part of the picture again and again
+            turn = (draw + draw // n_draws * (n_draws % n_turns == 0)) % n_turns
+            back = self._way_back(found, drawn.of_weight(weights), turn, n_turns)
+            way = way + BACK * weights.any() * back
         return self._weight * way
 
-    def _way_back(
-        self, found: Tensor, short: Tensor, weights: Tensor, draw: int | Tensor
-    ) -> Tensor:
-        n = len(self._patches)
-        turn = torch.arange((n + 1) // 2, device=found.device) * 2 + draw % 2
-        turn = turn.clamp_max(n - 1)
-        nearest = _nearest(self._short[turn], short, weights)
-        back = (_rows(found, nearest) - self._patches[turn]).square().mean()
-        return _root(back * weights.any())
+    def _way_back(self, found: Tensor, drawn: "_Along", turn: int | Tensor, n_turns: int) -> Tensor:
+        n = len(self._patches) // n_turns
+        chosen = torch.arange(n, device=found.device) * n_turns + turn
+        nearest = self._known.rows(chosen).nearest(drawn)
+        return _root((_rows(found, nearest) - self._patches[chosen]).square().mean())
 
-    def _along(self, patches: Tensor) -> Tensor:
-        return (patches - self._mean) @ self._axes
+    def _along(self, patches: Tensor) -> "_Along":
+        centred = patches - self._mean
+        return _Along(centred @ self._axes, 0.5 * centred.square().sum(1))
+
+
+@dataclass(frozen=True)
+class _Along:
+    """Patches along the axes [P n], and half of their squares [P], with what is beside the axes."""
+
+    short: Tensor
+    half_squares: Tensor
+
+    def rows(self, chosen: Tensor) -> "_Along":
+        return _Along(self.short[chosen], self.half_squares[chosen])
+
+    def of_weight(self, weights: Tensor) -> "_Along":
+        """Those with little weight are no patch's nearest."""
+        far = weights < WHOLE * weights.max()
+        return _Along(self.short, self.half_squares.masked_fill(far, torch.inf))
+
+    def nearest(self, others: "_Along") -> Tensor:
+        """For each patch the row of the nearest of others, [P]."""
+        is_cpu = self.short.device.type == "cpu"
+        parts = self.short.split(AT_ONCE) if is_cpu else (self.short,)
+        columns = others.short.T
+        return torch.cat(
+            [_largest(torch.addmm(others.half_squares, rows, columns, beta=-1)) for rows in parts]
+        )
+
+
+def patch_shares(guide: Tensor) -> Tensor:
+    """How much of each patch of a picture is smoke, [H-6 W-6], in [0, 1].
+
+    Args:
+        guide: [H W] in [0, 1], where the smoke is.
+    """
+    if min(guide.shape) < SIDE:
+        return guide.new_zeros([max(n - SIDE + 1, 0) for n in guide.shape])
+    return F.avg_pool2d(guide[None, None], SIDE, stride=1)[0, 0]
+
+
+def padded_shares(shares: Tensor, guide: Tensor) -> Tensor:
+    """Shares of an enlarged picture, whose guide is given: patches that reach beyond the picture
+    have no smoke."""
+    height, width = (n - SIDE + 1 for n in guide.shape)
+    return F.pad(shares, (0, width - shares.shape[1], 0, height - shares.shape[0]))
 
 
 def _drawn_places(style: Tensor, seed: int) -> Tensor:
-    """First pixels of at most ``MOST_STYLE`` patches, which lie in the areas that count as far as
-    any do."""
+    """First pixels of at most ``MOST_STYLE`` patches, in the areas that count."""
     height, width = style.shape[:2]
     alpha, n_across = unless_small(alpha_of(style)), width - SIDE + 1
     if alpha is None:
-        places = torch.arange((height - SIDE + 1) * n_across)
+        places = some_of((height - SIDE + 1) * n_across, MOST_STYLE, seed)
     else:
-        share = F.avg_pool2d(alpha[None, None], SIDE, stride=1).flatten()
-        places = (share >= share.max() - _SLACK).nonzero().squeeze(1).cpu()
-    generator = torch.Generator().manual_seed(seed)
-    places = places[torch.randperm(len(places), generator=generator)[:MOST_STYLE]]
+        shares = patch_shares(alpha).flatten().cpu()
+        n_whole = int((shares > 1 - _SLACK).sum())
+        inside = shares.argsort(descending=True, stable=True)[: max(n_whole, FEWEST_STYLE)]
+        places = inside[some_of(len(inside), MOST_STYLE, seed)]
     places = places.div(n_across, rounding_mode="floor") * width + places % n_across
     return places.to(style.device)
 
@@ -121,37 +171,37 @@ def _pixels_of(places: Tensor, width: int) -> Tensor:
     return places[:, None] + (side[:, None] * width + side).flatten()
 
 
-def _choose(weights: Tensor, draw: int | Tensor) -> tuple[Tensor, Tensor]:
-    """The patches of a draw, and their weights."""
-    if weights.device.type != "cpu":
-        return _choose_as_many(weights, draw)
-    chosen = (weights > LEAST_WEIGHT).nonzero().squeeze(1)
-    n_draws = max(-(-len(chosen) // MOST_LOOKED_UP), 1)
-    chosen = chosen[draw % n_draws :: n_draws]
-    return chosen, weights[chosen]
+def _choose(shares: Tensor, draw: int | Tensor) -> tuple[Tensor, Tensor, int | Tensor]:
+    """The patches of a draw, their weights, and after how many draws all have been drawn.
 
-
-def _choose_as_many(weights: Tensor, draw: int | Tensor) -> tuple[Tensor, Tensor]:
-    """The same, always as many; those that fill up have the weight 0."""
-    n, enough = len(weights), weights > LEAST_WEIGHT
-    rank = torch.cumsum(enough, 0) - 1
-    n_draws = torch.div(rank[-1] + MOST_LOOKED_UP, MOST_LOOKED_UP, rounding_mode="floor")
-    n_draws = n_draws.clamp_min(1)
-    is_drawn = enough & (rank % n_draws == draw % n_draws)
-    place = torch.where(is_drawn, torch.arange(n, device=weights.device), n)
-    chosen = place.sort().values[:MOST_LOOKED_UP]
+    Those of a draw lie on a lattice, or marks between them would not be seen.
+    """
+    enough, is_cpu = shares > LEAST_SHARE, shares.device.type == "cpu"
+    n_draws: int | Tensor
+    if is_cpu:
+        n_draws = max(-(-int(enough.sum()) // MOST_LOOKED_UP), 1)
+        shift: int | Tensor = max(round(_SHIFT * n_draws), 1)
+    else:
+        n_draws = ((enough.sum() + MOST_LOOKED_UP - 1) // MOST_LOOKED_UP).clamp_min(1)
+        shift = (_SHIFT * n_draws).round().long().clamp_min(1)
+    down, across = (torch.arange(n, device=shares.device) for n in shares.shape)
+    lattice = (down[:, None] * shift + across) % n_draws
+    is_drawn = (enough & (lattice == draw % n_draws)).flatten()
+    weights = shares.square().flatten()
+    if is_cpu:
+        chosen = is_drawn.nonzero().squeeze(1)
+        return chosen, weights[chosen], n_draws
+    # always as many; those that fill up have no weight
+    n = len(weights)
+    place = torch.where(is_drawn, torch.arange(n, device=shares.device), n)
+    chosen = place.sort().values[: 2 * MOST_LOOKED_UP]
     weights = F.pad(weights, (0, 1)).index_select(0, chosen)
-    return chosen.clamp(max=n - 1), weights
+    return chosen.clamp(max=max(n - 1, 0)), weights, n_draws
 
 
-@torch.no_grad()
-def _nearest(values: Tensor, others: Tensor, weights: Tensor | None = None) -> Tensor:
-    """For each row [P n] the nearest of others [S n], of those with enough weight [S]."""
-    half_squares = 0.5 * others.square().sum(1)
-    if weights is not None:
-        half_squares.masked_fill_(weights < WHOLE * weights.max(), torch.inf)
-    nearness = torch.addmm(half_squares, values, others.T, beta=-1)
-    if nearness.device.type == "cpu":  # NumPy takes a ninth of the time
+def _largest(nearness: Tensor) -> Tensor:
+    """The column of the largest value of each row; on a CPU NumPy takes a ninth of the time."""
+    if nearness.device.type == "cpu":
         return torch.from_numpy(nearness.numpy().argmax(axis=1))
     return nearness.argmax(dim=1)
 

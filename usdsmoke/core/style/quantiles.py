@@ -20,6 +20,7 @@ from torch import Tensor
 from usdsmoke.base.errors import ShapeError
 
 HALVES = (torch.float16, torch.bfloat16)
+MANY_TIMES = 16  # as many numbers as are drawn, of which hardly any is drawn twice
 MANY = 1024  # samples of float32 from which on a table rounds them
 STEPS = 2**16 - 1  # of a row's range
 
@@ -204,3 +205,11 @@ def check_weights(caller: str, values: Tensor, weights: Tensor | None) -> None:
             f"{caller}: weights are {list(weights.shape)} for {values.shape[1]} samples. Give one "
             "weight for each sample."
         )
+
+
+def some_of(n: int, most: int, seed: int) -> Tensor:
+    """At most so many of n numbers from 0 on, drawn at random, on the CPU."""
+    generator = torch.Generator().manual_seed(seed)
+    if n > MANY_TIMES * most:  # a shuffle would take longer than all that it is for
+        return torch.randint(n, (most,), generator=generator)
+    return torch.randperm(n, generator=generator)[:most]
