@@ -171,7 +171,7 @@ class LossesConfig(Section):
     nearest: float = setting(
         1.0, "weight of the distances from patches of the pictures to the nearest ones of the "
         "style, and from the style's to the nearest of theirs, in the colour step, relative to "
-        "the style's weight; above 1, marks are larger and softer", ge=0)
+        "the style's weight; much above 1, pictures are softer", ge=0)
     local_contrast: float = setting(
         10.0, "weight of the contrast and brightness that areas of the pictures lack beside most "
         "areas of the style, in the colour step, relative to the style's weight: so that all of "

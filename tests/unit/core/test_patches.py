@@ -97,8 +97,11 @@ def test_many_patches_of_a_style_look_back_in_turns(monkeypatch: pytest.MonkeyPa
     mean = sum((back + 1e-4) ** 2 - 1e-8 for back in backs[:3]) / 3
     assert mean == pytest.approx(ways.amin(1).mean().item(), rel=1e-6)
     assert backs[3] == backs[0] != backs[1]
-    monkeypatch.setattr(patches, "MOST_LOOKED_UP", 10)  # of 30: three draws
-    assert len({round(loss_of(style, picture, draw=draw).item(), 9) for draw in range(9)}) == 9
+    for n_draws, most in ((3, 10), (4, 8), (6, 5)):
+        monkeypatch.setattr(patches, "MOST_LOOKED_UP", most)  # of 30
+        n = 3 * n_draws
+        found = {round(loss_of(style, picture, draw=draw).item(), 9) for draw in range(n)}
+        assert len(found) == n
 
 
 @pytest.mark.usefixtures("one_way")
@@ -158,6 +161,23 @@ def test_small_areas_have_the_patches_around_them_too() -> None:
 def test_areas_smaller_than_a_pixel_leave_the_whole_style() -> None:
     style = noise(24, 24)
     assert loss_of(with_alpha(style, slice(8, 16), 0.4), style).item() < 1e-9
+
+
+@pytest.mark.usefixtures("one_way")
+def test_a_draw_sees_nearly_all_of_a_picture() -> None:
+    """16 draws of 125 x 64 patches: every 16th along rows alone would see less than half."""
+    picture = noise(125 + SIDE - 1, 64 + SIDE - 1).requires_grad_(True)
+    (slope,) = torch.autograd.grad(loss_of(noise(20, 20, seed=1), picture), picture)
+    assert (slope != 0).any(-1).double().mean() > 0.9
+
+
+def test_patches_beyond_small_areas_are_left_out() -> None:
+    """Also where there are fewer than ``FEWEST_STYLE`` inside."""
+    style = noise(60, 60)
+    alpha = torch.zeros(60, 60, 1, dtype=torch.float64)
+    alpha[40:47, 40:47] = 1.0
+    found = loss_of(torch.cat([style, alpha], 2), style[:20, :20])
+    assert found > 1.2 * loss_of(style, style[:20, :20])
 
 
 @pytest.mark.usefixtures("one_way")

@@ -164,7 +164,7 @@ class StyleTarget:
     def loss(self, picture: Tensor, guide: Tensor | None, draw: int = 0) -> Tensor:
         """Weighted sum over the style layers, and that of patches; scalar.
 
-        (Nearly) 0 for the style itself.
+        Small for the style itself; without patches, (nearly) 0.
 
         Args:
             picture: [H W 3], display-encoded.

@@ -8,6 +8,7 @@ alone. Patches are of pixels, not of features: those whose features agree may la
 (decision 090).
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -26,7 +27,7 @@ MOST_LOOKED_UP = 500  # patches of a picture in one draw, about; the others in t
 MOST_LOOKING_BACK = (
     500  # patches of the style in one draw, about: more would pull at each several times
 )
-AT_ONCE = 128  # rows of a search: what they are compared with stays in the cache
+AT_ONCE = 128  # rows of a search, which take 26 MB
 N_AXES = 32  # principal axes of the style's patches, along which the nearest one is looked for
 COARSER = 3.0  # times the weight in coarser octaves, where it is decided what lies where
 BACK = 1.0  # weight of the ways back
@@ -35,7 +36,7 @@ WHOLE = 0.5  # of a draw's largest weight; no way leads back to less, as at the 
 LEAST_SPREAD = 0.02  # of colours, display-encoded; with less, a style is one colour
 _SLACK = 1e-4  # of a share: round-off
 _ROUND = 1e-4  # of a way
-_SHIFT = 0.618  # of the step along a row, by which the next row begins later
+_SHIFT = 618  # thousandths of the step along a row, by which the next row begins later
 
 
 class StylePatches:
@@ -60,14 +61,16 @@ class StylePatches:
         centred = (self._patches - self._mean).cpu().double()
         _, vectors = torch.linalg.eigh(centred.T @ centred)
         self._axes = vectors[:, -N_AXES:].to(style).contiguous()  # [D n]
-        self._known = self._along(self._patches)
+        known = self._along(self._patches)
+        # what a picture's patch has beside the axes too is not known: along them alone
+        self._known = _Along(known.short, 0.5 * known.short.square().sum(1))
 
     def loss(self, picture: Tensor, shares: Tensor, draw: int | Tensor = 0) -> Tensor:
         """The weighted sum of the ways there and back, scalar.
 
         Root mean squares of differences, in units of the deviation of the style's colours, over a
-        draw of the picture's patches and of the style's. 0 for the style itself, if it has at most
-        ``MOST_STYLE`` patches.
+        draw of the picture's patches and of the style's. Small for the style itself:
+        its patches are of one draw, and the nearest is looked for along the axes alone.
 
         Args:
             picture: [H W 3], display-encoded; 0 for one that is smaller than a patch.
@@ -90,8 +93,8 @@ class StylePatches:
         way = _root((there * weights).sum() / total)
         if self._varies:
             n_turns = max(len(self._patches) // MOST_LOOKING_BACK, 1)
-            # no part of the style meets the same part of the picture again and again
-            turn = (draw + draw // n_draws * (n_draws % n_turns == 0)) % n_turns
+            # all of the style's meet all of the picture's: after the common multiple, one later
+            turn = (draw + draw // _common_multiple(n_draws, n_turns)) % n_turns
             back = self._way_back(found, drawn.of_weight(weights), turn, n_turns)
             way = way + BACK * weights.any() * back
         return self._weight * way
@@ -146,7 +149,7 @@ def patch_shares(guide: Tensor) -> Tensor:
 def padded_shares(shares: Tensor, guide: Tensor) -> Tensor:
     """Shares of an enlarged picture, whose guide is given: patches that reach beyond the picture
     have no smoke."""
-    height, width = (n - SIDE + 1 for n in guide.shape)
+    height, width = (max(n - SIDE + 1, 0) for n in guide.shape)
     return F.pad(shares, (0, width - shares.shape[1], 0, height - shares.shape[0]))
 
 
@@ -159,7 +162,8 @@ def _drawn_places(style: Tensor, seed: int) -> Tensor:
     else:
         shares = patch_shares(alpha).flatten().cpu()
         n_whole = int((shares > 1 - _SLACK).sum())
-        inside = shares.argsort(descending=True, stable=True)[: max(n_whole, FEWEST_STYLE)]
+        n_inside = max(n_whole, min(FEWEST_STYLE, int((shares > _SLACK).sum())))
+        inside = shares.argsort(descending=True, stable=True)[:n_inside]
         places = inside[some_of(len(inside), MOST_STYLE, seed)]
     places = places.div(n_across, rounding_mode="floor") * width + places % n_across
     return places.to(style.device)
@@ -177,13 +181,10 @@ def _choose(shares: Tensor, draw: int | Tensor) -> tuple[Tensor, Tensor, int | T
     Those of a draw lie on a lattice, or marks between them would not be seen.
     """
     enough, is_cpu = shares > LEAST_SHARE, shares.device.type == "cpu"
-    n_draws: int | Tensor
-    if is_cpu:
-        n_draws = max(-(-int(enough.sum()) // MOST_LOOKED_UP), 1)
-        shift: int | Tensor = max(round(_SHIFT * n_draws), 1)
-    else:
-        n_draws = ((enough.sum() + MOST_LOOKED_UP - 1) // MOST_LOOKED_UP).clamp_min(1)
-        shift = (_SHIFT * n_draws).round().long().clamp_min(1)
+    n_enough: int | Tensor = int(enough.sum()) if is_cpu else enough.sum()
+    n_draws = (n_enough + MOST_LOOKED_UP - 1) // MOST_LOOKED_UP
+    n_draws = max(n_draws, 1) if isinstance(n_draws, int) else n_draws.clamp_min(1)
+    shift = (_SHIFT * n_draws + 500) // 1000
     down, across = (torch.arange(n, device=shares.device) for n in shares.shape)
     lattice = (down[:, None] * shift + across) % n_draws
     is_drawn = (enough & (lattice == draw % n_draws)).flatten()
@@ -197,6 +198,10 @@ def _choose(shares: Tensor, draw: int | Tensor) -> tuple[Tensor, Tensor, int | T
     chosen = place.sort().values[: 2 * MOST_LOOKED_UP]
     weights = F.pad(weights, (0, 1)).index_select(0, chosen)
     return chosen.clamp(max=max(n - 1, 0)), weights, n_draws
+
+
+def _common_multiple(n: int | Tensor, m: int) -> int | Tensor:
+    return math.lcm(n, m) if isinstance(n, int) else torch.lcm(n, torch.full_like(n, m))
 
 
 def _largest(nearness: Tensor) -> Tensor:
