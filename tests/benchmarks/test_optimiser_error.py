@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.control_scenes import paint_styles
-from benchmarks.optimiser_error import measure_step
+from benchmarks.optimiser_error import LIMITS, measure_step
 from tests.fixtures.smoke_fixtures import frame_of, puff
 from usdsmoke.config.resolve import resolve_config
 
@@ -24,9 +24,16 @@ WITHIN = 3.0  # times too large or too small; the benchmark's larger scenes stay
     ("step", "limit"),
     [("shape", "default"), ("colour", "default"), ("colour", "stopped early")],
 )
-def test_what_is_left_agrees_with_a_run_four_times_as_long(step: str, limit: str) -> None:
+def test_what_is_left_agrees_with_a_run_four_times_as_long(
+    step: str, limit: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also where a run is cut short or stops early: what it leaves is told, never nothing."""
     config = resolve_config(SETTINGS)
+    if limit == "stopped early":
+        # with patches it goes on falling by more than a fifth; stopped by .3, five times too much
+        # is told of a puff of 16 voxels
+        config = resolve_config(config, {"losses.nearest": 0})
+        monkeypatch.setitem(LIMITS, limit, (4.0, 0.2))
     # not white noise: blending takes its hues away, the more of them the longer a run
     style = paint_styles(["strokes"], 32)["strokes"]
     row = measure_step(frame_of(puff(16)), style, config, step, limit)
