@@ -54,7 +54,7 @@ class StepReport:
     restored: int = 0  # octaves that end with an earlier state, because the last one was worse
     ended: tuple[str, ...] = ()  # why each octave ended: "iterations" or "converged"
     # From the losses of the last octave; None where it has too few iterations or too small steps.
-    fallen: float | None = None  # by how much the loss fell in all octaves, by shares
+    fallen: float | None = None  # in all octaves, in units of the last one's loss
     fallen_in_last_octave: float | None = None
     remaining: float | None = (
         None  # by how much a run four times as long would end lower, predicted

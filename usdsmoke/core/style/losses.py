@@ -173,7 +173,9 @@ class StyleTarget:
 
         Gradients: through ``picture``.
         """
-        shares = patch_shares(torch.ones_like(picture[..., 0]) if guide is None else guide)
+        shares = picture.new_zeros(0, 0)
+        if self._patches is not None:
+            shares = patch_shares(torch.ones_like(picture[..., 0]) if guide is None else guide)
         if guide is None or picture.device.type == "cpu":
             return self._sum(picture, guide, draw, shares)
         number = torch.full((), draw, device=picture.device)

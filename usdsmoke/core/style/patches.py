@@ -24,9 +24,7 @@ SIDE = 7  # pixels of a patch
 MOST_STYLE = 50_000
 FEWEST_STYLE = 500  # patches, of which some reach out of the areas that count where these are small
 MOST_LOOKED_UP = 500  # patches of a picture in one draw, about; the others in the next ones
-MOST_LOOKING_BACK = (
-    500  # patches of the style in one draw, about: more would pull at each several times
-)
+MOST_LOOKING_BACK = 500  # of the style in one draw, about: more would pull at each several times
 AT_ONCE = 128  # rows of a search, which take 26 MB
 N_AXES = 32  # principal axes of the style's patches, along which the nearest one is looked for
 COARSER = 3.0  # times the weight in coarser octaves, where it is decided what lies where
@@ -69,8 +67,8 @@ class StylePatches:
         """The weighted sum of the ways there and back, scalar.
 
         Root mean squares of differences, in units of the deviation of the style's colours, over a
-        draw of the picture's patches and of the style's. Small for the style itself:
-        its patches are of one draw, and the nearest is looked for along the axes alone.
+        draw of the picture's patches and of the style's. Small for the style itself, not 0: its
+        patches are of one draw, and the nearest is looked for along the axes alone.
 
         Args:
             picture: [H W 3], display-encoded; 0 for one that is smaller than a patch.
