@@ -1,8 +1,8 @@
 """Held-out measures of style: how near a stylized picture comes to its style image.
 
-No loss of usdsmoke uses these, and nothing here imports usdsmoke: the optimiser cannot have aimed
-at them. Every function takes display-encoded pictures in [0, 1] of shape [H W 3] and the smoke's
-alpha as a mask [H W]; only pixels inside the smoke count.
+Nothing here imports usdsmoke. One of these is aimed at: ``losses.nearest`` compares patches as wide
+as those of `patch_distance`. Every function takes display-encoded pictures in [0, 1] of shape
+[H W 3] and the smoke's alpha as a mask [H W]; only pixels inside the smoke count.
 
 A bare value says little, so `score_views` puts each between two anchors made for the same view:
 0 is the smoke tinted with the style's mean colour, 1 is the style itself pasted through the smoke's
