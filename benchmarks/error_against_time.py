@@ -28,8 +28,7 @@ import torch
 
 from benchmarks.circumstances import publish, table_page
 from benchmarks.control_scenes import paint_styles
-from benchmarks.held_out import Result, cover_box
-from benchmarks.presets import unseen_loss
+from benchmarks.held_out import Result, cover_box, unseen_loss
 from benchmarks.style_scores import RANGES
 from benchmarks.told_true_scenes import Scene, make_scenes
 from benchmarks.true_errors import (

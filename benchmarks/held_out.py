@@ -1,4 +1,4 @@
-"""Pictures of a finished result from views that the optimiser never had, and their scores."""
+"""Pictures of a finished result from views that the optimiser never had, their scores and loss."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from PIL import Image
 from pxr import Usd, UsdGeom, UsdVol
 
@@ -13,9 +14,14 @@ from benchmarks.display import composite, encode_display, mean_colour
 from benchmarks.measures import outlier_share, score_views
 from benchmarks.raymarch import march_rays
 from benchmarks.splats import render_fields
-from usdsmoke.base.volume import DenseField
+from usdsmoke.base.volume import DenseField, VolumeFrame
 from usdsmoke.config.run_sections import GridsConfig
+from usdsmoke.config.settings import Config
+from usdsmoke.core.smoke.schedule import view_ranges
+from usdsmoke.core.steps.targets import make_targets
 from usdsmoke.core.views.cameras import View, orbit_view
+from usdsmoke.core.views.scene import measure_scene
+from usdsmoke.pictures import find_style_size
 from usdsmoke.usd.schema import EMISSION_ABSOLUTE, EMISSION_MODE
 from usdsmoke.vdb.colour_grids import absolute_emission
 from usdsmoke.vdb.read import GridRequest, read_grids
@@ -31,6 +37,7 @@ __all__ = [
     "read_result",
     "read_style",
     "score_result",
+    "unseen_loss",
 ]
 
 EXTINCTION = "usdSmoke:extinctionPerDensity"  # attribute of a Volume with a look: gamma_w
@@ -179,6 +186,36 @@ def score_result(
     scores = score_views(style, images, masks)
     spread = {"value": outliers, "mean": float(np.mean(outliers)), "max": max(outliers)}
     return {**scores, "outliers": spread}, images
+
+
+def unseen_loss(
+    result: Result,
+    style: np.ndarray,
+    ranges: tuple[float, float] | None = None,
+    n_views: int = 6,
+) -> float:
+    """The mean style loss of a result's colour pictures from held-out views.
+
+    Args:
+        result: as read from its file.
+        style: [H W 3], display-encoded.
+        ranges: of azimuth and elevation, degrees to either side; None takes the default settings'.
+        n_views: how many.
+    """
+    config = Config()
+    frame = VolumeFrame(0.0, result.density, result.to_stage)
+    optics = config.optics.replace(thicken=1.0)  # the smoke as it is
+    scene = measure_scene([frame], config.views, optics, result.up_axis, 1)
+    scene = replace(scene, style_size=find_style_size([style], scene.voxels, config))
+    loss = make_targets([style], scene, config, torch.device("cpu")).at(1)
+    found = []
+    for angles in held_out_angles(n_views, *(ranges or view_ranges(config.views))):
+        view = fit_view(result, *map(float, angles), config.views.image_size)
+        premultiplied, alpha = draw_march(result, view)
+        picture = composite(premultiplied, alpha, mean_colour(style))
+        image, mask = (torch.from_numpy(np.float32(item)) for item in (picture, alpha))
+        found.append(float(loss(image, mask, None, 0)))
+    return float(np.mean(found))
 
 
 def fit_view(result: Result, azimuth: float, elevation: float, image_size: int) -> View:

@@ -3,7 +3,7 @@
     python -m benchmarks.speed STAGE STYLE --tree OTHER [--frames 7] [--pairs 1] [--set KEY=VALUE]
 
 Runs ``usdsmoke stylize`` with equal settings in both checkouts and prints wall and CPU seconds,
-wall seconds by part, and the unseen loss (``benchmarks.presets``), the mean of the first and the
+wall seconds by part, and the unseen loss (``benchmarks.held_out``), the mean of the first and the
 last frame, which this checkout measures for both. Ratios are those of the means. CPU seconds depend
 little on other work; wall seconds are worth something on a quiet machine alone.
 """
@@ -19,8 +19,7 @@ from pathlib import Path
 
 from pxr import Usd
 
-from benchmarks.held_out import read_result
-from benchmarks.presets import unseen_loss
+from benchmarks.held_out import read_result, unseen_loss
 from benchmarks.style_scores import RANGES
 from usdsmoke.base.time_codes import parse_frames
 from usdsmoke.pictures import read_style_image

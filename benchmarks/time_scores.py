@@ -20,8 +20,7 @@ from pathlib import Path
 from pxr import Usd
 
 from benchmarks.circumstances import publish, table_page
-from benchmarks.held_out import held_out_angles, read_result, read_style, score_result
-from benchmarks.presets import unseen_loss
+from benchmarks.held_out import held_out_angles, read_result, read_style, score_result, unseen_loss
 from usdsmoke.config.settings import Config
 from usdsmoke.core.smoke.schedule import ALL_ROUND, octave_iterations
 from usdsmoke.pictures import read_style_image

@@ -5,7 +5,7 @@
 Runs the other checkout with its defaults, then this one with more and more of its own iterations,
 each a whole ``usdsmoke stylize`` from the start: preset ``draft``, shares of the default
 iterations, two of them with views from the front alone, the defaults. The unseen loss
-(``benchmarks.presets``) is the mean over held-out views of the first and the last file that were
+(``benchmarks.held_out``) is the mean over held-out views of the first and the last file that were
 written, within the default range (all round) and within the front that the other checkout was made
 for; this checkout measures it for both. One thread unless ``--set optimize.threads=N``; CPU seconds
 depend little on other work, wall seconds are worth something on a quiet machine alone.
