@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
-from tests.fixtures.stylize_fixtures import quick_config, run_core
+from tests.fixtures.smoke_fixtures import random_style, smoke_of
+from tests.fixtures.stylize_fixtures import finished, same_bits
 from usdsmoke.config.settings import Config
-from usdsmoke.core.sequence.stylize import StylizedFrame
 from usdsmoke.core.smoke.active import ActiveSmoke
 from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.steps.targets import make_targets
@@ -134,7 +133,7 @@ def test_threads_do_not_change_the_bits() -> None:
 
 def test_a_run_lifts_what_it_would_write_dark() -> None:
     bright = np.full((16, 16, 3), 0.95)  # of which few iterations leave the first colours far
-    plain, found = (run_with(lift, bright) for lift in (0.0, 0.9))
+    plain, found = (finished(style=bright, lift=lift) for lift in (0.0, 0.9))
     assert np.array_equal(plain.density.values, found.density.values)
     before, after = plain.emission.values, found.emission.values
     assert (after >= before - 1e-6).all() and after.sum() > 1.1 * before.sum()
@@ -142,27 +141,11 @@ def test_a_run_lifts_what_it_would_write_dark() -> None:
 
 def test_a_style_that_is_dark_as_a_whole_stays_dark() -> None:
     """Areas are lifted to nine tenths of its median at most."""
-    plain, found = (run_with(lift, np.full((16, 16, 3), 0.06, np.float32)) for lift in (0.0, 0.9))
+    plain, found = (finished(style=np.full((16, 16, 3), 0.06), lift=lift) for lift in (0.0, 0.9))
     assert found.emission.values == pytest.approx(plain.emission.values, rel=0.05, abs=1e-5)
 
 
 def test_albedos_and_flat_smoke_are_left_alone() -> None:
     flat, dark = np.ones((16, 16, 1), np.float32), random_style() * 0.4
-    assert same_bits(*(run_with(lift, dark, flat) for lift in (0.0, 0.9)))
-    assert same_bits(*(run_with(lift, dark, target="albedo") for lift in (0.0, 0.9)))
-
-
-def run_with(lift, style, density=None, target="emission") -> StylizedFrame:
-    config = quick_config(
-        optics={"sun": [0, 1, 0]} if target != "emission" else {},
-        colour={"occlusion": 0.0, "lift": lift, "target": target, "iterations": [2]},
-        optimize={"steps": ["colour"], "threads": 1, "tolerance": 0.0, "error_budget": False},
-    )
-    frames = [frame_of(puff(16) if density is None else density)]
-    (found,) = run_core(frames, config, styles=[style.astype(np.float32)])
-    return found
-
-
-def same_bits(first, second) -> bool:
-    pairs = zip(first.painted, second.painted, strict=True)
-    return all(np.array_equal(a.values, b.values) for a, b in pairs)
+    assert same_bits(*(finished(flat, dark, lift=lift) for lift in (0.0, 0.9)))
+    assert same_bits(*(finished(style=dark, lift=lift, target="albedo") for lift in (0.0, 0.9)))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.fixtures.smoke_fixtures import frame_of, puff, smoke_of
-from tests.fixtures.stylize_fixtures import quick_config, run_core
+from tests.fixtures.smoke_fixtures import frame_of, smoke_of
+from tests.fixtures.stylize_fixtures import finished, same_bits
 from usdsmoke.core.smoke.active import ActiveSmoke, activate
 from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.views.grazing import CLEARER, smooth_grazing
@@ -166,28 +166,12 @@ def test_threads_do_not_change_the_bits() -> None:
 
 
 def test_a_run_smooths_by_the_amount_and_leaves_albedos_and_flat_smoke() -> None:
-    plain, half, found = (run_with(amount) for amount in (0.0, 0.5, 1.0))
+    plain, half, found = (finished(grazing=amount) for amount in (0.0, 0.5, 1.0))
     assert not same_bits(plain, half) and not same_bits(half, found)
     change, all_of_it = (
         np.abs(one.emission.values - plain.emission.values).sum() for one in (half, found)
     )
     assert 0.3 < change / all_of_it < 0.7
     flat = np.ones((16, 16, 1), np.float32)
-    assert same_bits(*(run_with(amount, density=flat) for amount in (0.0, 1.0)))
-    assert same_bits(*(run_with(amount, "albedo") for amount in (0.0, 1.0)))
-
-
-def run_with(amount, target="emission", density=None):
-    config = quick_config(
-        optics={"sun": [0, 1, 0]} if target != "emission" else {},
-        colour={"occlusion": 0.0, "lift": 0.0, "grazing": amount, "target": target,
-                "iterations": [2, 2]},
-        optimize={"steps": ["colour"], "threads": 1, "tolerance": 0.0, "error_budget": False},
-    )  # fmt: skip
-    (found,) = run_core([frame_of(puff(16) if density is None else density)], config)
-    return found
-
-
-def same_bits(first, second) -> bool:
-    pairs = zip(first.painted, second.painted, strict=True)
-    return all(np.array_equal(a.values, b.values) for a, b in pairs)
+    assert same_bits(*(finished(flat, grazing=amount) for amount in (0.0, 1.0)))
+    assert same_bits(*(finished(grazing=amount, target="albedo") for amount in (0.0, 1.0)))

@@ -8,7 +8,7 @@ import torch
 
 from tests.fixtures.camera_fixtures import DENSITY, MIDDLE, looking, seen_by
 from tests.fixtures.smoke_fixtures import frame_of, puff, random_style, smoke_of
-from tests.fixtures.stylize_fixtures import by_voxel, quick_config, run_core, scene_of
+from tests.fixtures.stylize_fixtures import by_voxel, finished, quick_config, same_bits, scene_of
 from usdsmoke.core.sequence.frame_state import make_context, open_frame
 from usdsmoke.core.smoke.tasks import computing_threads
 from usdsmoke.core.views.joined import join_smoke
@@ -122,7 +122,7 @@ def test_colours_are_no_brighter_than_white_for_their_relief() -> None:
 
 @pytest.mark.parametrize("target", ["emission", "both"])
 def test_a_run_darkens_what_it_would_write_without_occlusion(target: str) -> None:
-    plain, found = (run_with(amount, target) for amount in (0.0, 1.0))
+    plain, found = (finished(occlusion=amount, target=target) for amount in (0.0, 1.0))
     before, after = plain.emission, found.emission
     assert np.array_equal(plain.density.values, found.density.values)
     assert by_voxel(after).keys() == by_voxel(before).keys()
@@ -139,20 +139,5 @@ def test_a_run_darkens_what_it_would_write_without_occlusion(target: str) -> Non
 
 def test_albedos_and_flat_smoke_are_left_alone() -> None:
     flat = np.ones((16, 16, 1), np.float32)
-    assert same_bits(*(run_with(amount, "emission", flat) for amount in (0.0, 1.0)))
-    assert same_bits(*(run_with(amount, "albedo") for amount in (0.0, 1.0)))
-
-
-def run_with(amount, target, density=None):
-    config = quick_config(
-        optics={"sun": [0, 1, 0]} if target != "emission" else {},
-        colour={"occlusion": amount, "lift": 0.0, "target": target, "iterations": [2, 2]},
-        optimize={"steps": ["colour"], "threads": 1, "tolerance": 0.0, "error_budget": False},
-    )
-    (found,) = run_core([frame_of(puff(16) if density is None else density)], config)
-    return found
-
-
-def same_bits(first, second) -> bool:
-    pairs = zip(first.painted, second.painted, strict=True)
-    return all(np.array_equal(a.values, b.values) for a, b in pairs)
+    assert same_bits(*(finished(flat, occlusion=amount) for amount in (0.0, 1.0)))
+    assert same_bits(*(finished(occlusion=amount, target="albedo") for amount in (0.0, 1.0)))
