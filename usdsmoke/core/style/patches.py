@@ -11,10 +11,12 @@ alone. Patches are of pixels, not of features: those whose features agree may la
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from usdsmoke.core.smoke.memory import chunks
 from usdsmoke.core.style.quantiles import some_of
 from usdsmoke.core.style.style_image import alpha_of, unless_small
 
@@ -25,7 +27,7 @@ MOST_STYLE = 50_000
 FEWEST_STYLE = 500  # patches, of which some reach out of the areas that count where these are small
 MOST_LOOKED_UP = 500  # patches of a picture in one draw, about; the others in the next ones
 MOST_LOOKING_BACK = 500  # of the style in one draw, about: more would pull at each several times
-AT_ONCE = 128  # rows of a search, which take 26 MB
+AT_ONCE = 1024  # patches that are looked through at once: what is found stays in the cache
 N_AXES = 32  # principal axes of the style's patches, along which the nearest one is looked for
 COARSER = 3.0  # times the weight in coarser octaves, where it is decided what lies where
 BACK = 1.0  # weight of the ways back
@@ -115,7 +117,7 @@ class _Along:
     short: Tensor
     half_squares: Tensor
 
-    def rows(self, chosen: Tensor) -> "_Along":
+    def rows(self, chosen: Tensor | slice) -> "_Along":
         return _Along(self.short[chosen], self.half_squares[chosen])
 
     def of_weight(self, weights: Tensor) -> "_Along":
@@ -125,12 +127,27 @@ class _Along:
 
     def nearest(self, others: "_Along") -> Tensor:
         """For each patch the row of the nearest of others, [P]."""
-        is_cpu = self.short.device.type == "cpu"
-        parts = self.short.split(AT_ONCE) if is_cpu else (self.short,)
-        columns = others.short.T
-        return torch.cat(
-            [_largest(torch.addmm(others.half_squares, rows, columns, beta=-1)) for rows in parts]
+        device, n = self.short.device, len(self.short)
+        if device.type != "cpu":
+            return self._nearness(others).argmax(dim=1)
+        memory, best, rows = (
+            self.short.new_empty(n * AT_ONCE),
+            np.full(n, -np.inf),
+            np.zeros(n, int),
         )
+        for part in chunks(len(others.short), AT_ONCE, device):
+            some = others.rows(part)
+            out = memory[: n * len(some.short)].view(n, -1)
+            nearness = self._nearness(some, out).numpy()
+            column = nearness.argmax(axis=1)  # in a ninth of torch's time
+            value = np.take_along_axis(nearness, column[:, None], axis=1)[:, 0]
+            is_nearer = value > best
+            best[is_nearer], rows[is_nearer] = value[is_nearer], column[is_nearer] + part.start
+        return torch.from_numpy(rows)
+
+    def _nearness(self, others: "_Along", out: Tensor | None = None) -> Tensor:
+        """[P Q]; the largest of a row is that of the nearest."""
+        return torch.addmm(others.half_squares, self.short, others.short.T, beta=-1, out=out)
 
 
 def patch_shares(guide: Tensor) -> Tensor:
@@ -200,13 +217,6 @@ def _choose(shares: Tensor, draw: int | Tensor) -> tuple[Tensor, Tensor, int | T
 
 def _common_multiple(n: int | Tensor, m: int) -> int | Tensor:
     return math.lcm(n, m) if isinstance(n, int) else torch.lcm(n, torch.full_like(n, m))
-
-
-def _largest(nearness: Tensor) -> Tensor:
-    """The column of the largest value of each row; on a CPU NumPy takes a ninth of the time."""
-    if nearness.device.type == "cpu":
-        return torch.from_numpy(nearness.numpy().argmax(axis=1))
-    return nearness.argmax(dim=1)
 
 
 def _root(square: Tensor) -> Tensor:
