@@ -130,11 +130,8 @@ class _Along:
         device, n = self.short.device, len(self.short)
         if device.type != "cpu":
             return self._nearness(others).argmax(dim=1)
-        memory, best, rows = (
-            self.short.new_empty(n * AT_ONCE),
-            np.full(n, -np.inf),
-            np.zeros(n, int),
-        )
+        memory = self.short.new_empty(n * AT_ONCE)
+        best, rows = np.full(n, -np.inf), np.zeros(n, int)
         for part in chunks(len(others.short), AT_ONCE, device):
             some = others.rows(part)
             out = memory[: n * len(some.short)].view(n, -1)
