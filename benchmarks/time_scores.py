@@ -4,7 +4,7 @@
 
 Runs ``usdsmoke stylize`` with shares of the default iterations, for each way of comparing features,
 and with the presets ``draft`` and ``final``. Measures the written files on views that the optimiser
-never had: the default style loss, which compares distributions, and scores that no run aims at.
+never had: the default style loss, and scores. Only *patches* are near to what is minimised.
 Sheets and error estimates are left out.
 """
 
